@@ -1,0 +1,52 @@
+// The interface of all filters. A filter sees planes around a window and writes the window; it does
+// not know whether the window is a tile or the frame, so tiled equals whole, bit for bit.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/film/frame_planes.h"
+
+namespace tessera {
+
+enum class DenoiseQuality { kPreview, kFinal };
+
+// Values that hold for the whole frame, handed in so that no tile computes its own.
+struct FrameParameters {
+  PixelRect frame;  // what exists: a halo is cut here
+  DenoiseQuality quality = DenoiseQuality::kFinal;
+};
+
+// Filtered planes over a rectangle, row-major.
+struct FilteredPlanes {
+  FilteredPlanes() = default;
+  explicit FilteredPlanes(const PixelRect& bounds);
+
+  PixelRect bounds;
+  Planes3 color;
+  Planes3 error;  // half-width of the 95 % interval of `color`; +inf where unknown
+};
+
+class Denoiser {
+ public:
+  virtual ~Denoiser() = default;
+  virtual std::string_view name() const = 0;
+  // Pixels around a window that Filter reads, the calibration of the variance included or not as
+  // planes.variance is an input.
+  virtual int halo_px() const = 0;
+  // Writes the pixels of `window` of `out` from `planes`, whose bounds contain the window expanded
+  // by halo_px and cut at parameters.frame. Pixels without samples are filled or left zero with an
+  // infinite error. Threads: const, any number at once on disjoint windows.
+  virtual void Filter(const FramePlanes& planes, const FrameParameters& parameters,
+                      const PixelRect& window, FilteredPlanes* out) const = 0;
+};
+
+// Names that MakeDenoiser knows, the default first; "none" copies the mean.
+std::vector<std::string> DenoiserNames();
+// Errors: INVALID_ARGUMENT listing the names.
+absl::StatusOr<std::unique_ptr<Denoiser>> MakeDenoiser(std::string_view name);
+
+}  // namespace tessera

@@ -1,0 +1,33 @@
+// The bytes of a TileStatistics on the wire and in film files; the layout is in docs/delta-format.md.
+// Lossless: Decode(Encode(x)) == x bit for bit.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "absl/status/statusor.h"
+#include "core/film/tile_statistics.h"
+
+namespace tessera {
+
+enum class DeltaEncoding : uint32_t {
+  kPacked = 1,      // planes packed to their stored precision
+  kPackedZstd = 2,  // the same, bytes shuffled, zstd-compressed
+};
+
+struct EncodedDelta {
+  DeltaEncoding encoding;
+  std::string payload;
+  int64_t payload_bytes = 0;  // before compression
+};
+
+EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding);
+
+// Errors: INVALID_ARGUMENT for a wrong size, checksum, encoding, or a value that statistics cannot
+// have (non-finite, negative msd, more hits than samples). Never allocates more than the window and
+// range imply.
+absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
+                                           uint32_t encoding, std::string_view payload);
+
+}  // namespace tessera

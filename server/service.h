@@ -1,0 +1,47 @@
+// A whole coordinator behind its gRPC and HTTP services: what tessera-server's main and the
+// embedded render start.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include <grpcpp/channel.h>
+
+#include "absl/status/statusor.h"
+
+namespace tessera {
+
+struct ServiceOptions {
+  std::string listen;              // "127.0.0.1:0"; empty = in-process only
+  std::string http_listen;         // empty = none
+  std::string data_dir;            // empty = assets and films in memory
+  int64_t data_bytes_max = int64_t{64} << 30;  // quota of assets and films; 0 = unlimited
+  int filter_threads = 0;          // 0 = all
+  int tile_size = 32;              // default of jobs that name none
+  std::chrono::milliseconds lease_ttl{10000};
+  bool insecure = false;           // plaintext on other than loopback addresses
+};
+
+// Threads: all methods from any thread.
+class Service {
+ public:
+  // Errors: INVALID_ARGUMENT (an option, with the remedy), UNAVAILABLE (address in use).
+  static absl::StatusOr<std::unique_ptr<Service>> Start(const ServiceOptions& options);
+  ~Service();  // Shutdown
+
+  int port() const;       // 0 without listen
+  int http_port() const;  // 0 without http_listen
+  // A channel that reaches the services without a socket.
+  std::shared_ptr<grpc::Channel> InProcessChannel();
+  // Closes streams, finishes what is being written, and stops. Idempotent.
+  void Shutdown();
+
+ private:
+  class Impl;
+  explicit Service(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace tessera

@@ -1,0 +1,62 @@
+// The path tracer: radiance and features of pixels, by Embree. Sample i of pixel (x, y) is a pure
+// function of (scene, settings, seed, x, y, i): the same bits for any thread, tile or range (C2).
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/base/pixel_rect.h"
+#include "core/base/sample_range.h"
+#include "core/film/tile_statistics.h"
+#include "worker/scene/scene.h"
+
+namespace tessera {
+
+struct RenderSettings {
+  int width = 640;   // of the frame
+  int height = 360;
+  int max_depth = 8;  // bounces after the camera hit
+  uint64_t seed = 0;
+  std::string isa = "x86-64-v3";
+  int build_threads = 1;  // for Embree's BVH; moves no bit of the picture
+};
+
+struct RenderCounters {
+  int64_t samples = 0;
+  int64_t rays = 0;        // Embree queries, shadow rays included
+  int64_t non_finite = 0;
+};
+
+class PathTracer {
+ public:
+  // Builds acceleration structures and light samplers; takes the scene.
+  // Errors: RESOURCE_EXHAUSTED (Embree out of memory), FAILED_PRECONDITION (ISA class not on this
+  // machine), INVALID_ARGUMENT (unknown ISA class).
+  static absl::StatusOr<std::unique_ptr<PathTracer>> Create(std::unique_ptr<Scene> scene,
+                                                            const RenderSettings& settings);
+  ~PathTracer();
+
+  // The statistics of one node of the folding tree over `window` (frame coordinates).
+  // Errors: CANCELLED when `cancel` turns true (checked every few pixels; may be null).
+  // Threads: const, any number at once; runs on the calling thread only.
+  absl::StatusOr<TileStatistics> Render(const PixelRect& window, SampleRange node,
+                                        const std::atomic<bool>* cancel,
+                                        RenderCounters* counters) const;
+
+  const Scene& scene() const;
+  int64_t memory_bytes() const;  // scene and acceleration structures
+
+ private:
+  class Impl;
+  explicit PathTracer(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+// ISA classes that this machine can run, widest first: "x86-64-v4", "x86-64-v3", "x86-64-v2".
+std::vector<std::string> SupportedIsaClasses();
+
+}  // namespace tessera

@@ -1,0 +1,42 @@
+// A worker's session with a coordinator: fetches assets, builds scenes once, renders leases on its
+// threads and streams deltas back; reconnects with back-off; drains on request.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include <grpcpp/channel.h>
+
+#include "absl/status/status.h"
+
+namespace tessera {
+
+struct WorkerOptions {
+  int threads = 0;              // 0 = all
+  int64_t memory_bytes = 0;     // for scenes; 0 = half of the machine's
+  bool same_process = false;    // embedded: payloads uncompressed
+  int connect_attempts_max = 0; // 0 = for ever
+};
+
+// Threads: Run blocks; Drain and Stop may be called from any thread (not from a signal handler).
+class WorkerSession {
+ public:
+  WorkerSession(std::shared_ptr<grpc::Channel> channel, const WorkerOptions& options);
+  ~WorkerSession();
+
+  // Serves until drained or stopped (OK), or until the server refuses this worker for good
+  // (FAILED_PRECONDITION: version; the line names the remedy) or stays away for
+  // connect_attempts_max attempts (UNAVAILABLE).
+  absl::Status Run();
+  // Takes no new leases; returns or finishes those it has; then Run ends.
+  void Drain();
+  // Drops everything at once.
+  void Stop();
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace tessera
