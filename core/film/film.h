@@ -14,15 +14,22 @@
 
 namespace tessera {
 
+// Nodes of one tile that may wait for a sibling. A tile complete up to some sample needs at most 31
+// (one for each bit of the count); the rest bounds how far leases may run ahead.
+inline constexpr int64_t kWaitingNodesMax = 4096;
+
 class Film {
  public:
   explicit Film(const TileGrid& grid);
 
   const TileGrid& grid() const { return grid_; }
 
-  // Adds a node of tile `tile_index`.
-  // Errors: INVALID_ARGUMENT  window or range do not fit
-  //         ALREADY_EXISTS    the range is covered: safe, drop it
+  // Adds a node of tile `tile_index`. Ranges must be nodes of the folding tree, hence nested or
+  // disjoint: a node that contains waiting smaller ones replaces them (the same samples, so the
+  // same bits), and nothing is counted twice.
+  // Errors: INVALID_ARGUMENT    window or range do not fit
+  //         ALREADY_EXISTS      the range is covered: safe, drop it
+  //         RESOURCE_EXHAUSTED  kWaitingNodesMax nodes of the tile wait already
   absl::Status Accept(int64_t tile_index, TileStatistics node);
 
   // The tile's samples are complete on [0, CommittedEnd).
@@ -36,18 +43,22 @@ class Film {
   // end must be the end of a stored node. An empty range gives zero planes.
   TileStatistics Fold(int64_t tile_index, int64_t end = -1) const;
 
-  // SHA-256 over the region's folded planes [0, CommittedEnd of each tile), in frame order:
-  // for each half, each float plane, then each count plane; row-major; little-endian; preceded by
-  // the region and each row's counts so that films of other shapes differ. Independent of the
-  // tile size.
+  // SHA-256 over the region's folded planes [0, CommittedEnd of each tile): the region's bounds,
+  // then row by row each pixel's sample count and, for each half, each float plane's and then each
+  // count plane's row; 4 bytes a value, little-endian. Independent of the tile size.
   Sha256Digest Digest() const;
 
   int64_t non_finite() const { return non_finite_; }
   int64_t samples() const { return samples_; }  // camera samples, waiting nodes included
 
  private:
+  // Joins nodes[index] with its sibling, the result with its own, and so on.
+  static void JoinSiblings(int64_t index, std::vector<TileStatistics>* nodes);
+  // Hashes row `y` of a row of tiles.
+  static void HashRow(const std::vector<TileStatistics>& tiles, int y, Sha256* hash);
+
   TileGrid grid_;
-  std::vector<std::vector<TileStatistics>> nodes_;  // by tile
+  std::vector<std::vector<TileStatistics>> nodes_;  // by tile; ascending, disjoint
   int64_t non_finite_ = 0;
   int64_t samples_ = 0;
 };
