@@ -1,0 +1,107 @@
+#include "server/coordinator/coordinator.h"
+
+#include <charconv>
+#include <variant>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/coordinator_state.h"
+#include "server/coordinator/limits.h"
+
+namespace tessera {
+
+std::string JobName(JobId id) { return absl::StrCat("jobs/", id); }
+
+absl::StatusOr<JobId> ParseJobName(const std::string& name) {
+  JobId id = 0;
+  const char* const begin = name.data() + 5;
+  const char* const end = name.data() + name.size();
+  if (!absl::StartsWith(name, "jobs/") || begin == end || *begin == '0' ||
+      std::from_chars(begin, end, id) != std::from_chars_result{end, std::errc()}) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("name '", name.substr(0, 64), "' is no job: give jobs/N"));
+  }
+  return id;
+}
+
+Coordinator::Coordinator(CoordinatorConfig config) : config_(std::move(config)) {}
+Coordinator::~Coordinator() = default;
+
+StepResult Coordinator::Step(Event event, Instant now) {
+  now_ = now;
+  result_ = {};
+  std::visit([this](auto& e) { On(e); }, event);
+  ExpireLeases();
+  GrantAll();
+  if (waiting_changed_) UpdateWaiting();
+  return std::move(result_);
+}
+
+void Coordinator::On(TickEvent&) {
+  for (auto& [id, job] : jobs_) {
+    if (!job->IsOpen()) continue;
+    CheckTime(*job);
+    if (job->film_changed &&
+        now_.monotonic_ms - job->saved_film_ms >= config_.checkpoint_interval_ms) {
+      Save(*job, true);
+    }
+  }
+  for (auto& [session, worker] : workers_) {
+    if (worker->leases.empty()) Race(*worker);
+  }
+  waiting_changed_ = true;
+}
+
+absl::StatusOr<v1::Job> Coordinator::GetJob(JobId id) const {
+  const auto it = jobs_.find(id);
+  if (it == jobs_.end()) {
+    return absl::NotFoundError(absl::StrCat(JobName(id), " does not exist"));
+  }
+  v1::Job record = it->second->record;
+  record.mutable_progress()->set_workers(static_cast<int>(it->second->leases_of_session.size()));
+  return record;
+}
+
+std::vector<v1::Job> Coordinator::ListJobs(JobId after, size_t limit) const {
+  std::vector<v1::Job> jobs;
+  for (auto it = jobs_.upper_bound(after); it != jobs_.end() && jobs.size() < limit; ++it) {
+    jobs.push_back(*GetJob(it->first));
+  }
+  return jobs;
+}
+
+std::vector<v1::Worker> Coordinator::ListWorkers(Instant now) const {
+  std::vector<v1::Worker> workers;
+  for (const auto& [session, worker] : workers_) {
+    v1::Worker& out = workers.emplace_back();
+    out.set_name(absl::StrCat("workers/", worker->id));
+    out.set_host(worker->hello.host());
+    out.set_process_id(worker->hello.process_id());
+    out.set_threads(worker->hello.threads());
+    out.set_memory_bytes(worker->hello.memory_bytes());
+    out.set_version(worker->hello.version());
+    out.mutable_connect_time()->set_seconds(worker->connected.unix_ms / 1000);
+    out.mutable_last_seen_time()->set_seconds(worker->seen.unix_ms / 1000);
+    out.set_leases(static_cast<int>(worker->leases.size()));
+    out.set_samples(worker->samples);
+    const int64_t age_ms = now.monotonic_ms - worker->connected.monotonic_ms;
+    if (age_ms > 0) {
+      out.set_samples_per_second(1000.0 * static_cast<double>(worker->samples) /
+                                 static_cast<double>(age_ms));
+    }
+    out.set_draining(worker->draining);
+  }
+  return workers;
+}
+
+std::shared_ptr<const Film> Coordinator::FilmOf(JobId id) const {
+  const auto it = jobs_.find(id);
+  return it == jobs_.end() ? nullptr : it->second->film;
+}
+
+std::string Coordinator::RequestIdOf(JobId id) const {
+  const auto it = jobs_.find(id);
+  return it == jobs_.end() ? "" : it->second->request_id;
+}
+
+}  // namespace tessera

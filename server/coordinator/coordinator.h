@@ -1,0 +1,159 @@
+// The coordinator's state machine: jobs, their films, workers and leases. Pure: the clock is handed
+// in with each event, and all that has to happen outside comes back as effects. Restarting it from
+// the catalogue and the film checkpoints (RestoreJobEvent) loses samples but no job, and never
+// counts a sample twice.
+//
+// Fair shares: the highest priority that has work goes first; equal priorities share by samples
+// under way. A worker holds as many leases as it has threads, and a few more to hide latency.
+// Threads: none; the caller serialises all calls.
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/coordinator/effect.h"
+#include "server/coordinator/event.h"
+#include "server/coordinator/job_settings.h"
+#include "server/coordinator/tile_queue.h"
+
+namespace tessera {
+
+struct CoordinatorConfig {
+  uint64_t incarnation = 1;  // differs between two runs of a server
+  std::string version;       // workers must have the same
+  SettingsDefaults defaults;
+  int64_t lease_ttl_ms = 10000;
+  int64_t checkpoint_interval_ms = 30000;
+  // Of all films that are held in memory.
+  int64_t film_bytes_max = int64_t{64} << 30;
+};
+
+class Coordinator {
+ public:
+  explicit Coordinator(CoordinatorConfig config);
+  ~Coordinator();
+
+  // Statuses: NOT_FOUND (job), INVALID_ARGUMENT (field and remedy; for worker events the session is
+  // closed too), RESOURCE_EXHAUSTED (a limit), FAILED_PRECONDITION (the job's state, the worker's
+  // version), ALREADY_EXISTS (a delta that is covered, which is dropped).
+  StepResult Step(Event event, Instant now);
+
+  // Errors: NOT_FOUND.
+  absl::StatusOr<v1::Job> GetJob(JobId job) const;
+  // Jobs with an id above `after`, ascending, at most `limit`.
+  std::vector<v1::Job> ListJobs(JobId after, size_t limit) const;
+  std::vector<v1::Worker> ListWorkers(Instant now) const;
+
+  // The job's film; null if the job does not exist. Read it only where Step cannot run, or after
+  // FinishJobEffect.
+  std::shared_ptr<const Film> FilmOf(JobId job) const;
+  // The request_id that created the job; empty if there was none.
+  std::string RequestIdOf(JobId job) const;
+
+ private:
+  struct Job;
+  struct Worker;
+  struct Lease {
+    SessionId session = 0;
+    JobId job = 0;
+    Unit unit;
+    int64_t issued_ms = 0;
+    int64_t expires_ms = 0;
+  };
+  struct RequestRecord {
+    std::string kind;
+    JobId job = 0;
+  };
+
+  // Events.
+  void On(CreateJobEvent& event);
+  void On(JobCommandEvent& event);
+  void On(RestoreJobEvent& event);
+  void On(WorkerConnectedEvent& event);
+  void On(WorkerGoneEvent& event);
+  void On(DeltaEvent& event);
+  void On(HeartbeatEvent& event);
+  void On(DeclineEvent& event);
+  void On(SceneReadyEvent& event);
+  void On(SceneFailureEvent& event);
+  void On(DrainEvent& event);
+  void On(PictureEvent& event);
+  void On(JobFinishedEvent& event);
+  void On(TickEvent& event);
+
+  // Jobs (coordinator_jobs.cpp).
+  Job* FindJob(JobId id);
+  bool RepeatsRequest(const std::string& request_id, const std::string& kind, JobId* job);
+  void RememberRequest(const std::string& request_id, const std::string& kind, JobId job);
+  // OK, or the status that the client gets.
+  absl::Status Pause(Job& job);
+  absl::Status Resume(Job& job);
+  absl::Status Cancel(Job& job);
+  void Delete(JobId id);
+  void SetState(Job& job, v1::JobState state);
+  void StartQueue(Job& job);
+  void Finish(Job& job, v1::StopReason reason);
+  void Fail(Job& job, const std::string& error);
+  void StopWork(Job& job);
+  void Touch(Job& job);
+  void Save(Job& job, bool with_film);
+  void UpdateProgress(Job& job);
+
+  // Merging and stopping (coordinator_merge.cpp).
+  absl::Status CheckDelta(const Job& job, const DeltaEvent& event) const;
+  void Merge(Job& job, DeltaEvent& event);
+  void OnPassCommitted(Job& job);
+  void OpenNextEpoch(Job& job);
+  bool NextEpochFits(const Job& job) const;
+  void CheckTime(Job& job);
+
+  // Leases (coordinator_leases.cpp).
+  Worker* FindWorker(SessionId session);
+  void Send(SessionId session, v1::CoordinatorMessage message);
+  void CloseWorker(SessionId session, const absl::Status& status);
+  void RemoveWorker(SessionId session);
+  void GrantAll();
+  bool GrantOne(Worker& worker);
+  bool GrantFrom(std::vector<Job*>& jobs, Worker& worker);
+  void Grant(Worker& worker, Job& job, const Unit& unit);
+  bool Race(Worker& worker);
+  bool CanServe(const Worker& worker, const Job& job) const;
+  void DropLease(LeaseId id, bool revoke);
+  void DropLeasesOf(Job& job, const Unit& unit);
+  void ExpireLeases();
+  bool FitsMemory(const Job& job) const;
+  void UpdateWaiting();
+  std::string WaitingReason(const Job& job) const;
+
+  CoordinatorConfig config_;
+  Instant now_;
+  StepResult result_;  // of the step under way
+
+  uint64_t revision_ = 0;
+  JobId next_job_ = 1;
+  LeaseId next_lease_ = 1;
+  uint64_t next_worker_ = 1;
+  std::map<JobId, std::unique_ptr<Job>> jobs_;
+  std::set<std::pair<int, JobId>> order_;  // (-priority, job) of jobs that want leases
+  bool waiting_changed_ = false;           // some job's reason to wait may have changed
+  std::map<SessionId, std::unique_ptr<Worker>> workers_;
+  std::map<LeaseId, Lease> leases_;
+  std::set<std::pair<int64_t, LeaseId>> expiries_;  // (expires_ms, lease)
+  std::map<std::string, RequestRecord> requests_;
+  std::deque<std::string> request_order_;  // oldest first
+};
+
+// "jobs/N" and back. Errors: INVALID_ARGUMENT.
+std::string JobName(JobId id);
+absl::StatusOr<JobId> ParseJobName(const std::string& name);
+
+}  // namespace tessera

@@ -1,0 +1,296 @@
+// What clients do to jobs, and a job's states.
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/coordinator.h"
+#include "server/coordinator/coordinator_state.h"
+#include "server/coordinator/limits.h"
+
+namespace tessera {
+namespace {
+
+const char* CommandName(JobCommand command) {
+  switch (command) {
+    case JobCommand::kPause: return "pause";
+    case JobCommand::kResume: return "resume";
+    case JobCommand::kCancel: return "cancel";
+    case JobCommand::kDelete: return "delete";
+  }
+  return "";
+}
+
+void SetTime(int64_t unix_ms, google::protobuf::Timestamp* out) {
+  out->set_seconds(unix_ms / 1000);
+  out->set_nanos(static_cast<int>(unix_ms % 1000) * 1000000);
+}
+
+}  // namespace
+
+Coordinator::Job* Coordinator::FindJob(JobId id) {
+  const auto it = jobs_.find(id);
+  if (it == jobs_.end()) {
+    result_.status = absl::NotFoundError(absl::StrCat(JobName(id), " does not exist"));
+    return nullptr;
+  }
+  return it->second.get();
+}
+
+bool Coordinator::RepeatsRequest(const std::string& request_id, const std::string& kind,
+                                 JobId* job) {
+  if (request_id.size() > kRequestIdBytesMax) {
+    result_.status = absl::InvalidArgumentError(
+        absl::StrCat("request_id is longer than ", kRequestIdBytesMax, " bytes: shorten it"));
+    return true;
+  }
+  const auto it = requests_.find(request_id);
+  if (request_id.empty() || it == requests_.end()) return false;
+  if (it->second.kind != kind) {
+    result_.status = absl::InvalidArgumentError(
+        absl::StrCat("request_id '", request_id, "' was used for another call (", it->second.kind,
+                     "): use a fresh one for each call"));
+    return true;
+  }
+  *job = it->second.job;
+  return true;
+}
+
+void Coordinator::RememberRequest(const std::string& request_id, const std::string& kind,
+                                  JobId job) {
+  if (request_id.empty() || !requests_.insert({request_id, {kind, job}}).second) return;
+  request_order_.push_back(request_id);
+  if (request_order_.size() > kRequestIdsMax) {
+    requests_.erase(request_order_.front());
+    request_order_.pop_front();
+  }
+}
+
+void Coordinator::On(CreateJobEvent& event) {
+  if (RepeatsRequest(event.request_id, "create", &result_.job)) return;
+  if (jobs_.size() >= kJobsMax) {
+    result_.status = absl::ResourceExhaustedError(
+        absl::StrCat("the server holds ", kJobsMax, " jobs already: delete finished ones"));
+    return;
+  }
+  absl::StatusOr<v1::JobSettings> settings =
+      CompleteSettings(std::move(event.settings), config_.defaults);
+  if (!settings.ok()) {
+    result_.status = settings.status();
+    return;
+  }
+  auto job = std::make_unique<Job>();
+  job->id = next_job_++;
+  job->request_id = event.request_id;
+  job->record.set_name(JobName(job->id));
+  job->record.set_version(config_.version);
+  *job->record.mutable_settings() = *std::move(settings);
+  SetTime(now_.unix_ms, job->record.mutable_create_time());
+  const v1::JobSettings& s = job->record.settings();
+  job->grid = TileGrid(RegionOf(s), s.tile_size());
+  job->film = event.film ? std::move(event.film) : std::make_shared<Film>(job->grid);
+  if (FilmBytesOf(job->grid) > config_.film_bytes_max) {
+    result_.status = absl::ResourceExhaustedError(absl::StrCat(
+        "settings.width x settings.height: the film of this job needs ",
+        FilmBytesOf(job->grid) >> 20, " MiB, the server has ", config_.film_bytes_max >> 20,
+        " MiB for films: render the frame in parts (settings.region)"));
+    return;
+  }
+  RememberRequest(event.request_id, "create", job->id);
+  result_.job = job->id;
+  Job& added = *jobs_.emplace(job->id, std::move(job)).first->second;
+  int64_t asset_bytes = 0;
+  for (const v1::AssetRef& asset : added.record.settings().assets()) {
+    asset_bytes += asset.size_bytes();
+  }
+  added.record.mutable_progress()->set_asset_bytes(asset_bytes);
+  SetState(added, v1::JOB_STATE_QUEUED);
+  StartQueue(added);
+  Save(added, added.film->samples() > 0);
+}
+
+void Coordinator::On(RestoreJobEvent& event) {
+  const absl::StatusOr<JobId> id = ParseJobName(event.job.name());
+  const absl::StatusOr<v1::JobSettings> settings =
+      CompleteSettings(event.job.settings(), config_.defaults);
+  if (!id.ok() || !settings.ok() || jobs_.contains(*id)) {
+    result_.status = !id.ok() ? id.status() : settings.status();
+    return;
+  }
+  auto job = std::make_unique<Job>();
+  job->id = *id;
+  job->request_id = event.request_id;
+  job->record = std::move(event.job);
+  job->grid = TileGrid(RegionOf(*settings), settings->tile_size());
+  job->film = event.film ? std::move(event.film) : std::make_shared<Film>(job->grid);
+  next_job_ = std::max(next_job_, job->id + 1);
+  RememberRequest(job->request_id, "create", job->id);
+  result_.job = job->id;
+  Job& added = *jobs_.emplace(*id, std::move(job)).first->second;
+  Touch(added);
+  if (added.IsTerminal()) return;
+  UpdateProgress(added);
+  if (added.record.state() == v1::JOB_STATE_FINISHING) {
+    Finish(added, added.record.stop_reason());
+  } else if (added.record.state() == v1::JOB_STATE_PAUSED) {
+    StartQueue(added);
+  } else {
+    SetState(added, v1::JOB_STATE_QUEUED);
+    StartQueue(added);
+  }
+}
+
+void Coordinator::StartQueue(Job& job) {
+  const v1::JobSettings& s = job.record.settings();
+  const bool may_stop_early = s.target_error() > 0 || s.has_max_time();
+  const SampleSchedule schedule(s.spp(), int64_t{s.tile_size()} * s.tile_size(), may_stop_early);
+  std::vector<int64_t> committed(static_cast<size_t>(job.grid.num_tiles()));
+  for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) {
+    committed[static_cast<size_t>(tile)] = job.film->CommittedEnd(tile);
+  }
+  job.queue = std::make_unique<TileQueue>(schedule, std::move(committed));
+  job.start_spp = job.queue->committed_spp();
+  job.saved_film_ms = now_.monotonic_ms;
+  UpdateProgress(job);
+  if (job.queue->Done()) {
+    Finish(job, v1::STOP_REASON_SPP);
+  } else {
+    OpenNextEpoch(job);
+  }
+}
+
+void Coordinator::On(JobCommandEvent& event) {
+  const std::string kind = absl::StrCat(CommandName(event.command), " ", JobName(event.job));
+  JobId repeated = 0;
+  if (RepeatsRequest(event.request_id, kind, &repeated)) return;
+  Job* const job = FindJob(event.job);
+  if (job == nullptr) return;
+  switch (event.command) {
+    case JobCommand::kPause: result_.status = Pause(*job); break;
+    case JobCommand::kResume: result_.status = Resume(*job); break;
+    case JobCommand::kCancel: result_.status = Cancel(*job); break;
+    case JobCommand::kDelete: Delete(event.job); break;
+  }
+  if (result_.status.ok()) RememberRequest(event.request_id, kind, event.job);
+}
+
+absl::Status Coordinator::Pause(Job& job) {
+  if (job.record.state() == v1::JOB_STATE_PAUSED) return absl::OkStatus();
+  if (!job.IsOpen()) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        job.record.name(), " has no samples left to render: it cannot be paused"));
+  }
+  job.spent_ms = job.ElapsedMs(now_.monotonic_ms);
+  job.work_ms = 0;
+  SetState(job, v1::JOB_STATE_PAUSED);
+  StopWork(job);
+  Save(job, true);
+  return absl::OkStatus();
+}
+
+absl::Status Coordinator::Resume(Job& job) {
+  if (job.IsOpen()) return absl::OkStatus();
+  if (job.record.state() != v1::JOB_STATE_PAUSED) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        job.record.name(), " is not paused: submit it again with the film (--continue) to add "
+        "samples"));
+  }
+  job.first_merge_ms = 0;
+  job.start_spp = job.queue->committed_spp();
+  SetState(job, job.film->samples() > 0 ? v1::JOB_STATE_RUNNING : v1::JOB_STATE_QUEUED);
+  Save(job, false);
+  return absl::OkStatus();
+}
+
+absl::Status Coordinator::Cancel(Job& job) {
+  if (job.IsTerminal() || job.record.state() == v1::JOB_STATE_FINISHING) return absl::OkStatus();
+  if (job.film->samples() > 0) {
+    Finish(job, v1::STOP_REASON_CANCELLED);
+    return absl::OkStatus();
+  }
+  StopWork(job);
+  job.queue.reset();
+  job.record.set_stop_reason(v1::STOP_REASON_CANCELLED);
+  SetState(job, v1::JOB_STATE_CANCELLED);
+  Save(job, false);
+  return absl::OkStatus();
+}
+
+void Coordinator::Delete(JobId id) {
+  Job& job = *jobs_.at(id);
+  SetState(job, v1::JOB_STATE_CANCELLED);
+  StopWork(job);
+  jobs_.erase(id);
+  result_.effects.emplace_back(RemoveJobEffect{id});
+}
+
+void Coordinator::Finish(Job& job, v1::StopReason reason) {
+  StopWork(job);
+  job.queue.reset();
+  job.record.set_stop_reason(reason);
+  SetState(job, v1::JOB_STATE_FINISHING);
+  StopWork(job);
+  Save(job, true);
+  result_.effects.emplace_back(FinishJobEffect{job.id});
+}
+
+void Coordinator::On(JobFinishedEvent& event) {
+  Job* const job = FindJob(event.job);
+  if (job == nullptr || job->record.state() != v1::JOB_STATE_FINISHING) return;
+  job->record.set_digest(ToBytes(event.digest));
+  SetState(*job, job->record.stop_reason() == v1::STOP_REASON_CANCELLED ? v1::JOB_STATE_CANCELLED
+                                                                       : v1::JOB_STATE_DONE);
+  Save(*job, false);
+}
+
+void Coordinator::Fail(Job& job, const std::string& error) {
+  StopWork(job);
+  job.queue.reset();
+  job.record.set_stop_reason(v1::STOP_REASON_FAILED);
+  job.record.set_error(error.substr(0, kErrorBytesMax));
+  SetState(job, v1::JOB_STATE_FAILED);
+  StopWork(job);
+  Save(job, job.film->samples() > 0);
+}
+
+void Coordinator::SetState(Job& job, v1::JobState state) {
+  job.record.set_state(state);
+  job.record.set_waiting("");
+  if (state == v1::JOB_STATE_RUNNING && !job.record.has_start_time()) {
+    SetTime(now_.unix_ms, job.record.mutable_start_time());
+  }
+  if (job.IsTerminal() && !job.record.has_end_time()) {
+    SetTime(now_.unix_ms, job.record.mutable_end_time());
+  }
+  const std::pair<int, JobId> place{-job.record.settings().priority(), job.id};
+  if (job.IsOpen()) {
+    order_.insert(place);
+  } else {
+    order_.erase(place);
+  }
+  waiting_changed_ = true;
+  Touch(job);
+}
+
+void Coordinator::Touch(Job& job) {
+  job.record.mutable_revision()->set_incarnation(config_.incarnation);
+  job.record.mutable_revision()->set_counter(++revision_);
+  result_.effects.emplace_back(JobChangedEffect{job.id});
+}
+
+void Coordinator::Save(Job& job, bool with_film) {
+  if (with_film) {
+    job.saved_film_ms = now_.monotonic_ms;
+    job.film_changed = false;
+  }
+  result_.effects.emplace_back(SaveJobEffect{job.id, with_film});
+}
+
+void Coordinator::UpdateProgress(Job& job) {
+  v1::JobProgress& progress = *job.record.mutable_progress();
+  const auto area = static_cast<double>(job.grid.region().area());
+  progress.set_samples(job.film->samples());
+  progress.set_non_finite(job.film->non_finite());
+  progress.set_spp(static_cast<double>(job.film->samples()) / area);
+  if (job.queue == nullptr) return;
+  progress.set_committed_spp(job.queue->committed_spp());
+  progress.set_samples_total(job.queue->end() * job.grid.region().area());
+}
+
+}  // namespace tessera

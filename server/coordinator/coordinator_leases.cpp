@@ -1,0 +1,375 @@
+// Workers that come, vanish and return, and the leases that they hold.
+#include <algorithm>
+
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/coordinator.h"
+#include "server/coordinator/coordinator_state.h"
+#include "server/coordinator/limits.h"
+
+namespace tessera {
+namespace {
+
+// Jobs of one priority that share the workers; later ones wait their turn.
+constexpr size_t kSharingJobsMax = 8;
+constexpr int64_t kAssetRetryMs = 5000;
+constexpr int64_t kMemoryUnit = int64_t{1} << 20;
+
+absl::Status CheckHello(const v1::Hello& hello, const std::string& version) {
+  if (hello.version() != version) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "this worker is version ", hello.version().substr(0, 64), ", the server is version ",
+        version, ": install the same version on both"));
+  }
+  if (hello.threads() < 1 || hello.threads() > kWorkerThreadsMax || hello.memory_bytes() < 0 ||
+      hello.host().size() > kNameBytesMax || hello.isa_classes_size() > 64) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("hello: threads must be 1 to ", kWorkerThreadsMax,
+                     " and memory_bytes at least 0"));
+  }
+  return absl::OkStatus();
+}
+
+google::protobuf::Duration DurationOfMs(int64_t ms) {
+  google::protobuf::Duration duration;
+  duration.set_seconds(ms / 1000);
+  duration.set_nanos(static_cast<int>(ms % 1000) * 1000000);
+  return duration;
+}
+
+}  // namespace
+
+Coordinator::Worker* Coordinator::FindWorker(SessionId session) {
+  const auto it = workers_.find(session);
+  if (it == workers_.end()) {
+    result_.status = absl::NotFoundError("the session is closed");
+    return nullptr;
+  }
+  it->second->seen = now_;
+  return it->second.get();
+}
+
+void Coordinator::Send(SessionId session, v1::CoordinatorMessage message) {
+  result_.effects.emplace_back(SendEffect{session, std::move(message)});
+}
+
+void Coordinator::CloseWorker(SessionId session, const absl::Status& status) {
+  result_.status = status;
+  result_.effects.emplace_back(CloseSessionEffect{session, status});
+  RemoveWorker(session);
+}
+
+void Coordinator::RemoveWorker(SessionId session) {
+  const auto it = workers_.find(session);
+  if (it == workers_.end()) return;
+  const std::set<LeaseId> leases = it->second->leases;
+  for (const LeaseId id : leases) DropLease(id, false);
+  workers_.erase(it);
+  waiting_changed_ = true;
+}
+
+void Coordinator::On(WorkerConnectedEvent& event) {
+  if (workers_.contains(event.session)) {
+    CloseWorker(event.session, absl::InvalidArgumentError("a second hello in one session"));
+    return;
+  }
+  absl::Status status = CheckHello(event.hello, config_.version);
+  if (status.ok() && workers_.size() >= kWorkersMax) {
+    status = absl::ResourceExhaustedError(
+        absl::StrCat("the server has ", kWorkersMax, " workers already"));
+  }
+  if (!status.ok()) {
+    CloseWorker(event.session, status);
+    return;
+  }
+  auto worker = std::make_unique<Worker>();
+  worker->session = event.session;
+  worker->id = next_worker_++;
+  worker->key = absl::StrCat(event.hello.host(), ":", event.hello.process_id());
+  worker->hello = std::move(event.hello);
+  worker->connected = worker->seen = now_;
+  v1::CoordinatorMessage message;
+  v1::Welcome& welcome = *message.mutable_welcome();
+  welcome.set_worker(absl::StrCat("workers/", worker->id));
+  *welcome.mutable_lease_ttl() = DurationOfMs(config_.lease_ttl_ms);
+  *welcome.mutable_heartbeat_interval() = DurationOfMs(std::max<int64_t>(1, config_.lease_ttl_ms / 4));
+  workers_.emplace(event.session, std::move(worker));
+  Send(event.session, std::move(message));
+  waiting_changed_ = true;
+}
+
+void Coordinator::On(WorkerGoneEvent& event) { RemoveWorker(event.session); }
+
+void Coordinator::On(HeartbeatEvent& event) {
+  if (FindWorker(event.session) == nullptr) return;
+  for (const LeaseId id : event.leases) {
+    const auto it = leases_.find(id);
+    if (it == leases_.end() || it->second.session != event.session) continue;
+    expiries_.erase({it->second.expires_ms, id});
+    it->second.expires_ms = now_.monotonic_ms + config_.lease_ttl_ms;
+    expiries_.insert({it->second.expires_ms, id});
+  }
+}
+
+void Coordinator::On(DeclineEvent& event) {
+  Worker* const worker = FindWorker(event.session);
+  if (worker == nullptr) return;
+  waiting_changed_ = true;
+  const v1::DeclineLease& decline = event.decline;
+  if (decline.reason() == v1::DeclineLease::REASON_DRAINING) worker->draining = true;
+  const auto it = leases_.find(decline.lease_id());
+  if (it == leases_.end() || it->second.session != event.session) return;
+  const JobId id = it->second.job;
+  Job& job = *jobs_.at(id);
+  if (decline.reason() != v1::DeclineLease::REASON_DRAINING) {
+    job.last_decline = decline.detail().substr(0, kErrorBytesMax);
+    if (decline.reason() == v1::DeclineLease::REASON_MEMORY) {
+      job.without_memory.insert(worker->key);
+    } else {
+      job.retry_assets_ms[worker->key] = now_.monotonic_ms + kAssetRetryMs;
+    }
+    // What holds for one lease of the job holds for all that this worker has.
+    const std::set<LeaseId> leases = worker->leases;
+    for (const LeaseId other : leases) {
+      if (other != decline.lease_id() && leases_.at(other).job == id) DropLease(other, true);
+    }
+  }
+  DropLease(decline.lease_id(), false);
+}
+
+void Coordinator::On(SceneReadyEvent& event) {
+  Worker* const worker = FindWorker(event.session);
+  const absl::StatusOr<JobId> id = ParseJobName(event.ready.job());
+  if (worker == nullptr || !id.ok() || !worker->known_jobs.contains(*id)) return;
+  Job* const job = FindJob(*id);
+  if (job == nullptr || job->record.has_scene()) return;
+  v1::SceneReport& report = *event.ready.mutable_report();
+  while (report.notes_size() > kSceneNotesMax) report.mutable_notes()->RemoveLast();
+  while (report.materials_size() > kSceneMaterialsMax) report.mutable_materials()->RemoveLast();
+  *job->record.mutable_scene() = std::move(report);
+  Touch(*job);
+}
+
+void Coordinator::On(SceneFailureEvent& event) {
+  Worker* const worker = FindWorker(event.session);
+  const absl::StatusOr<JobId> id = ParseJobName(event.failure.job());
+  if (worker == nullptr || !id.ok() || !worker->known_jobs.contains(*id)) return;
+  Job* const job = FindJob(*id);
+  if (job == nullptr || job->queue == nullptr) return;
+  Fail(*job, event.failure.error());
+}
+
+void Coordinator::On(DrainEvent& event) {
+  if (Worker* const worker = FindWorker(event.session)) worker->draining = true;
+  waiting_changed_ = true;
+}
+
+bool Coordinator::CanServe(const Worker& worker, const Job& job) const {
+  if (worker.draining || job.without_memory.contains(worker.key)) return false;
+  const auto retry = job.retry_assets_ms.find(worker.key);
+  if (retry != job.retry_assets_ms.end() && now_.monotonic_ms < retry->second) return false;
+  const auto& classes = worker.hello.isa_classes();
+  return std::ranges::find(classes, job.record.settings().isa()) != classes.end();
+}
+
+// Whether the job's film is in memory already, or there is room for it.
+bool Coordinator::FitsMemory(const Job& job) const {
+  if (job.film->samples() > 0 || job.samples_under_way > 0) return true;
+  int64_t bytes = FilmBytesOf(job.grid);
+  for (const auto& [id, other] : jobs_) {
+    if (other->film->samples() > 0 || other->samples_under_way > 0) {
+      bytes += FilmBytesOf(other->grid);
+    }
+  }
+  return bytes <= config_.film_bytes_max;
+}
+
+void Coordinator::GrantAll() {
+  if (order_.empty()) return;
+  // One lease each in turn, so that a short queue spreads over all workers.
+  bool granted = true;
+  while (granted) {
+    granted = false;
+    for (auto& [session, worker] : workers_) {
+      if (worker->leases.size() < worker->leases_max() && GrantOne(*worker)) granted = true;
+    }
+  }
+}
+
+bool Coordinator::GrantOne(Worker& worker) {
+  std::vector<Job*> sharing;
+  for (auto it = order_.begin(); it != order_.end();) {
+    const int priority = it->first;
+    sharing.clear();
+    for (; it != order_.end() && it->first == priority; ++it) {
+      Job& job = *jobs_.at(it->second);
+      if (sharing.size() < kSharingJobsMax && CanServe(worker, job) && FitsMemory(job)) {
+        sharing.push_back(&job);
+      }
+    }
+    if (GrantFrom(sharing, worker)) return true;
+  }
+  return false;
+}
+
+bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
+  std::ranges::stable_sort(jobs, {}, [](const Job* job) { return job->samples_under_way; });
+  for (Job* const job : jobs) {
+    if (const std::optional<Unit> unit = job->queue->Take()) {
+      Grant(worker, *job, *unit);
+      return true;
+    }
+  }
+  return false;
+}
+
+void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
+  const LeaseId id = next_lease_++;
+  const PixelRect window = job.grid.WindowOf(unit.tile);
+  leases_[id] = {worker.session, job.id, unit, now_.monotonic_ms,
+                 now_.monotonic_ms + config_.lease_ttl_ms};
+  expiries_.insert({leases_[id].expires_ms, id});
+  worker.leases.insert(id);
+  ++job.leases_of_session[worker.session];
+  job.leases_of_unit[unit].push_back(id);
+  job.samples_under_way += unit.range.size() * window.area();
+  if (job.work_ms == 0) job.work_ms = now_.monotonic_ms;
+  if (job.record.state() == v1::JOB_STATE_QUEUED) SetState(job, v1::JOB_STATE_RUNNING);
+
+  if (worker.known_jobs.insert(job.id).second) {
+    v1::CoordinatorMessage spec;
+    spec.mutable_job()->set_job(job.record.name());
+    *spec.mutable_job()->mutable_settings() = job.record.settings();
+    Send(worker.session, std::move(spec));
+  }
+  v1::CoordinatorMessage message;
+  v1::Lease& lease = *message.mutable_lease();
+  lease.set_id(id);
+  lease.set_job(job.record.name());
+  lease.set_tile_index(unit.tile);
+  *lease.mutable_window() = RegionProto(window);
+  lease.set_sample_begin(unit.range.begin);
+  lease.set_sample_end(unit.range.end);
+  Send(worker.session, std::move(message));
+}
+
+// Gives an idle worker the oldest unit that another one has had for long; the first delta wins.
+bool Coordinator::Race(Worker& worker) {
+  const Lease* oldest = nullptr;
+  for (const auto& [id, lease] : leases_) {
+    const Job& job = *jobs_.at(lease.job);
+    if (now_.monotonic_ms - lease.issued_ms < config_.lease_ttl_ms / 4) break;
+    if (lease.session == worker.session || job.leases_of_unit.at(lease.unit).size() > 1) continue;
+    if (!CanServe(worker, job)) continue;
+    oldest = &lease;
+    break;
+  }
+  if (oldest == nullptr) return false;
+  Grant(worker, *jobs_.at(oldest->job), Unit(oldest->unit));
+  return true;
+}
+
+void Coordinator::DropLease(LeaseId id, bool revoke) {
+  const auto it = leases_.find(id);
+  if (it == leases_.end()) return;
+  const Lease lease = it->second;
+  leases_.erase(it);
+  expiries_.erase({lease.expires_ms, id});
+  Job& job = *jobs_.at(lease.job);
+  job.samples_under_way -= lease.unit.range.size() * job.grid.WindowOf(lease.unit.tile).area();
+  if (--job.leases_of_session[lease.session] == 0) job.leases_of_session.erase(lease.session);
+  std::vector<LeaseId>& others = job.leases_of_unit.at(lease.unit);
+  std::erase(others, id);
+  if (others.empty()) {
+    job.leases_of_unit.erase(lease.unit);
+    if (job.queue != nullptr) job.queue->Return(lease.unit);
+  }
+  const auto worker = workers_.find(lease.session);
+  if (worker != workers_.end()) worker->second->leases.erase(id);
+  if (!revoke) return;
+  v1::CoordinatorMessage message;
+  message.mutable_revoke()->set_id(id);
+  Send(lease.session, std::move(message));
+}
+
+void Coordinator::DropLeasesOf(Job& job, const Unit& unit) {
+  const auto it = job.leases_of_unit.find(unit);
+  if (it == job.leases_of_unit.end()) return;
+  const std::vector<LeaseId> leases = it->second;
+  for (const LeaseId id : leases) DropLease(id, true);
+}
+
+// Takes back all leases of the job; workers may forget its scene when it wants no more samples.
+void Coordinator::StopWork(Job& job) {
+  std::vector<LeaseId> leases;
+  for (const auto& [unit, ids] : job.leases_of_unit) {
+    leases.insert(leases.end(), ids.begin(), ids.end());
+  }
+  for (const LeaseId id : leases) DropLease(id, true);
+  if (job.IsOpen() || job.record.state() == v1::JOB_STATE_PAUSED) return;
+  for (auto& [session, worker] : workers_) {
+    if (worker->known_jobs.erase(job.id) == 0) continue;
+    v1::CoordinatorMessage message;
+    message.mutable_forget()->set_job(job.record.name());
+    Send(session, std::move(message));
+  }
+}
+
+void Coordinator::ExpireLeases() {
+  while (!expiries_.empty() && expiries_.begin()->first <= now_.monotonic_ms) {
+    DropLease(expiries_.begin()->second, true);
+    waiting_changed_ = true;
+  }
+}
+
+void Coordinator::UpdateWaiting() {
+  waiting_changed_ = false;
+  for (const auto& [priority, id] : order_) {
+    Job& job = *jobs_.at(id);
+    std::string reason = WaitingReason(job);
+    if (reason == job.record.waiting()) continue;
+    job.record.set_waiting(std::move(reason));
+    Touch(job);
+  }
+}
+
+std::string Coordinator::WaitingReason(const Job& job) const {
+  if (!job.leases_of_unit.empty() || job.evaluating) return "";
+  if (workers_.empty()) {
+    return "no worker is connected: start tessera-worker with this server's address";
+  }
+  const std::string& isa = job.record.settings().isa();
+  int able = 0, small = 0, failing = 0, other_isa = 0;
+  int64_t memory_max = 0;
+  for (const auto& [session, worker] : workers_) {
+    const auto& classes = worker->hello.isa_classes();
+    if (worker->draining) continue;
+    if (job.without_memory.contains(worker->key)) {
+      ++small;
+      memory_max = std::max(memory_max, worker->hello.memory_bytes());
+    } else if (std::ranges::find(classes, isa) == classes.end()) {
+      ++other_isa;
+    } else if (!CanServe(*worker, job)) {
+      ++failing;
+    } else {
+      ++able;
+    }
+  }
+  if (able > 0 && !FitsMemory(job)) {
+    return "the server's memory for films is full: delete finished jobs";
+  }
+  if (able > 0) return "all workers are busy with jobs that come first";
+  if (failing > 0) return absl::StrCat("a worker could not fetch an asset: ", job.last_decline);
+  if (small > 0) {
+    return absl::StrCat("the scene needs more memory than any of the ", small,
+                        " connected workers has (at most ", memory_max / kMemoryUnit,
+                        " MiB): start a worker with more --memory",
+                        job.last_decline.empty() ? "" : "; ", job.last_decline);
+  }
+  if (other_isa > 0) {
+    return absl::StrCat("no connected worker runs ", isa, ": start one that does, or submit with "
+                        "another --isa");
+  }
+  return "all connected workers are leaving: start another tessera-worker";
+}
+
+}  // namespace tessera

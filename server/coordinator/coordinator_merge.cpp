@@ -1,0 +1,178 @@
+// Deltas into films, and when a job has enough of them.
+#include <algorithm>
+#include <cmath>
+
+#include "absl/strings/str_cat.h"
+#include "core/base/check.h"
+#include "server/coordinator/coordinator.h"
+#include "server/coordinator/coordinator_state.h"
+#include "server/coordinator/limits.h"
+
+namespace tessera {
+namespace {
+
+// Before this many samples an error estimate rests on too few samples to end a job.
+constexpr int64_t kEvaluateFromSpp = 8;
+
+int64_t MaxTimeMs(const v1::JobSettings& settings) {
+  return settings.max_time().seconds() * 1000 + settings.max_time().nanos() / 1000000;
+}
+
+bool IsCovered(const Film& film, const Unit& unit) {
+  return std::ranges::any_of(film.Nodes(unit.tile), [&](const TileStatistics& node) {
+    return node.range().begin <= unit.range.begin && unit.range.end <= node.range().end;
+  });
+}
+
+}  // namespace
+
+absl::Status Coordinator::CheckDelta(const Job& job, const DeltaEvent& event) const {
+  const v1::TileDelta& delta = event.delta;
+  if (delta.tile_index() < 0 || delta.tile_index() >= job.grid.num_tiles() ||
+      event.tile.window() != job.grid.WindowOf(delta.tile_index())) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "delta of ", delta.job(), ": tile_index ", delta.tile_index(), " or window is wrong"));
+  }
+  const Unit unit{delta.tile_index(), event.tile.range()};
+  const int64_t samples = unit.range.size() * event.tile.num_pixels();
+  if (!unit.range.IsNode() || delta.rays() < 0 || delta.rays() / kRaysPerSampleMax > samples ||
+      delta.non_finite() < 0 || delta.non_finite() > samples) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("delta of ", delta.job(), ": range or counts are impossible"));
+  }
+  if (job.queue == nullptr || IsCovered(*job.film, unit)) {
+    return absl::AlreadyExistsError(absl::StrCat("delta of ", delta.job(), " is not needed"));
+  }
+  if (!job.queue->IsOpen(unit)) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("delta of ", delta.job(), ": that range was not asked for"));
+  }
+  return absl::OkStatus();
+}
+
+void Coordinator::On(DeltaEvent& event) {
+  Worker* const worker = FindWorker(event.session);
+  if (worker == nullptr) return;
+  const absl::StatusOr<JobId> id = ParseJobName(event.delta.job());
+  if (!id.ok()) return CloseWorker(event.session, id.status());
+  Job* const job = FindJob(*id);
+  if (job == nullptr) return;
+  result_.status = CheckDelta(*job, event);
+  if (absl::IsInvalidArgument(result_.status)) return CloseWorker(event.session, result_.status);
+
+  const auto lease = leases_.find(event.delta.lease_id());
+  const bool was_leased = lease != leases_.end() && lease->second.session == event.session;
+  if (was_leased) DropLease(event.delta.lease_id(), false);
+  if (!result_.status.ok()) return;
+  worker->samples += event.tile.range().size() * event.tile.num_pixels();
+  Merge(*job, event);
+}
+
+void Coordinator::Merge(Job& job, DeltaEvent& event) {
+  const Unit unit{event.delta.tile_index(), event.tile.range()};
+  event.tile.non_finite = event.delta.non_finite();
+  const int64_t committed_before = job.film->CommittedEnd(unit.tile);
+  result_.status = job.film->Accept(unit.tile, std::move(event.tile));
+  TESSERA_CHECK(result_.status.ok());
+  const bool pass_committed = job.queue->Complete(unit);
+  DropLeasesOf(job, unit);
+
+  job.film_changed = true;
+  if (job.first_merge_ms == 0) job.first_merge_ms = now_.monotonic_ms;
+  v1::JobProgress& progress = *job.record.mutable_progress();
+  progress.set_rays(progress.rays() + event.delta.rays());
+  progress.set_delta_bytes(progress.delta_bytes() + event.wire_bytes);
+  const double seconds = static_cast<double>(event.delta.render_time().seconds()) +
+                         1e-9 * event.delta.render_time().nanos();
+  if (seconds > 0 && seconds < 1e6) {
+    progress.set_render_core_seconds(progress.render_core_seconds() + seconds);
+  }
+  UpdateProgress(job);
+  Touch(job);
+  if (job.film->CommittedEnd(unit.tile) != committed_before) {
+    result_.effects.emplace_back(TileChangedEffect{job.id, unit.tile});
+  }
+  if (pass_committed) OnPassCommitted(job);
+}
+
+void Coordinator::OnPassCommitted(Job& job) {
+  if (job.queue->Done()) {
+    Finish(job, job.stop_reason);
+    return;
+  }
+  const int64_t committed = job.queue->committed_spp();
+  const bool is_epoch = job.queue->schedule().EpochEnd(committed - 1) == committed;
+  if (is_epoch && job.IsOpen()) OpenNextEpoch(job);
+}
+
+void Coordinator::OpenNextEpoch(Job& job) {
+  const v1::JobSettings& settings = job.record.settings();
+  const SampleSchedule& schedule = job.queue->schedule();
+  const int64_t committed = job.queue->committed_spp();
+  const int64_t epoch_end = schedule.EpochEnd(committed);
+  if (settings.has_max_time() && !NextEpochFits(job)) {
+    Finish(job, v1::STOP_REASON_MAX_TIME);
+    return;
+  }
+  if (settings.target_error() > 0 && committed >= kEvaluateFromSpp) {
+    // Decisions about sampling see exactly the committed epoch (C2): nothing runs ahead.
+    job.queue->SetGate(committed);
+    job.evaluating = true;
+    result_.effects.emplace_back(EvaluatePictureEffect{job.id});
+    return;
+  }
+  const bool may_stop_early = settings.target_error() > 0 || settings.has_max_time();
+  job.queue->SetGate(may_stop_early || epoch_end >= settings.spp() ? epoch_end
+                                                                  : schedule.EpochEnd(epoch_end));
+}
+
+// Whether the next epoch is likely to end in time, at the speed so far.
+bool Coordinator::NextEpochFits(const Job& job) const {
+  const int64_t committed = job.queue->committed_spp();
+  if (committed <= job.start_spp || job.first_merge_ms == 0) return true;
+  const int64_t next = job.queue->schedule().EpochEnd(committed) - committed;
+  const double ms_per_spp = static_cast<double>(now_.monotonic_ms - job.first_merge_ms) /
+                            static_cast<double>(committed - job.start_spp);
+  return static_cast<double>(job.ElapsedMs(now_.monotonic_ms)) +
+             ms_per_spp * static_cast<double>(next) <=
+         static_cast<double>(MaxTimeMs(job.record.settings()));
+}
+
+void Coordinator::CheckTime(Job& job) {
+  const v1::JobSettings& settings = job.record.settings();
+  if (!settings.has_max_time() || job.stop_reason == v1::STOP_REASON_MAX_TIME) return;
+  if (job.ElapsedMs(now_.monotonic_ms) < MaxTimeMs(settings)) return;
+  // Every tile goes to the end of the epoch that some tile has begun: at least one.
+  const int64_t end = std::max(job.queue->EpochUnderWay(), job.queue->schedule().EpochEnd(0));
+  if (end <= job.queue->committed_spp()) {
+    Finish(job, v1::STOP_REASON_MAX_TIME);
+    return;
+  }
+  if (end >= job.queue->end()) return;
+  job.queue->StopAt(end);
+  job.stop_reason = v1::STOP_REASON_MAX_TIME;
+  UpdateProgress(job);
+  Touch(job);
+}
+
+void Coordinator::On(PictureEvent& event) {
+  Job* const job = FindJob(event.job);
+  if (job == nullptr) return;
+  v1::JobProgress& progress = *job->record.mutable_progress();
+  progress.set_estimated_error(event.estimated_error);
+  progress.set_filter_core_seconds(progress.filter_core_seconds() + event.filter_core_seconds);
+  Touch(*job);
+  if (!job->evaluating || job->queue == nullptr ||
+      event.committed_spp != job->queue->committed_spp()) {
+    return;
+  }
+  job->evaluating = false;
+  const double target = job->record.settings().target_error();
+  if (event.estimated_error > 0 && event.estimated_error <= target) {
+    Finish(*job, v1::STOP_REASON_TARGET_ERROR);
+  } else {
+    job->queue->SetGate(job->queue->schedule().EpochEnd(event.committed_spp));
+  }
+}
+
+}  // namespace tessera

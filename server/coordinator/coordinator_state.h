@@ -1,0 +1,69 @@
+// The coordinator's records of one job and one worker; for the coordinator's sources only.
+#pragma once
+
+#include <algorithm>
+#include <map>
+#include <memory>
+#include <set>
+#include <string>
+
+#include "server/coordinator/coordinator.h"
+
+namespace tessera {
+
+// What a film and its picture take in memory, about: a stored node, one that waits for its sibling,
+// the resolved and the filtered planes.
+inline int64_t FilmBytesOf(const TileGrid& grid) { return grid.region().area() * 520; }
+
+struct Coordinator::Job {
+  JobId id = 0;
+  std::string request_id;
+  v1::Job record;  // what clients see, but for progress.workers
+  TileGrid grid;
+  std::shared_ptr<Film> film;
+  std::unique_ptr<TileQueue> queue;  // null once no sample is wanted any more
+
+  std::map<SessionId, int> leases_of_session;
+  std::map<Unit, std::vector<LeaseId>> leases_of_unit;
+  int64_t samples_under_way = 0;
+  std::set<std::string> without_memory;            // worker keys that declined for good
+  std::map<std::string, int64_t> retry_assets_ms;  // worker key -> not before
+  int64_t work_ms = 0;  // monotonic moment of the first lease of this incarnation; 0 = none yet
+  int64_t spent_ms = 0; // before that, by earlier incarnations and before pauses
+  int64_t first_merge_ms = 0;  // monotonic, of this incarnation; 0 = none yet
+  int64_t start_spp = 0;       // committed when this incarnation began
+  v1::StopReason stop_reason = v1::STOP_REASON_SPP;  // once the queue is done
+  bool evaluating = false;                           // EvaluatePictureEffect is under way
+  int64_t saved_film_ms = 0;
+  bool film_changed = false;  // since it was saved
+  std::string last_decline;   // what the last worker said that declined
+
+  bool IsTerminal() const {
+    return record.state() == v1::JOB_STATE_DONE || record.state() == v1::JOB_STATE_CANCELLED ||
+           record.state() == v1::JOB_STATE_FAILED;
+  }
+  bool IsOpen() const {
+    return record.state() == v1::JOB_STATE_QUEUED || record.state() == v1::JOB_STATE_RUNNING;
+  }
+  int64_t ElapsedMs(int64_t now_ms) const { return spent_ms + (work_ms ? now_ms - work_ms : 0); }
+};
+
+struct Coordinator::Worker {
+  SessionId session = 0;
+  uint64_t id = 0;
+  v1::Hello hello;
+  std::string key;  // "host:process", the same when it returns
+  Instant connected;
+  Instant seen;
+  bool draining = false;
+  std::set<LeaseId> leases;
+  std::set<JobId> known_jobs;  // JobSpec sent
+  int64_t samples = 0;
+
+  size_t leases_max() const {
+    const auto threads = static_cast<size_t>(hello.threads());
+    return threads + std::max<size_t>(2, threads / 2);
+  }
+};
+
+}  // namespace tessera

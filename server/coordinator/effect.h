@@ -1,0 +1,60 @@
+// Everything that a coordinator asks its adapters to do.
+#pragma once
+
+#include <cstdint>
+#include <variant>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "server/coordinator/event.h"
+
+namespace tessera {
+
+// Messages to one session keep their order.
+struct SendEffect {
+  SessionId session = 0;
+  v1::CoordinatorMessage message;
+};
+struct CloseSessionEffect {
+  SessionId session = 0;
+  absl::Status status;  // what the worker is told
+};
+// The job's revision has moved: watchers want to know.
+struct JobChangedEffect {
+  JobId job = 0;
+};
+// Samples of the tile have been committed.
+struct TileChangedEffect {
+  JobId job = 0;
+  int64_t tile = 0;
+};
+// The job's record must survive a restart. with_film: so must its film.
+struct SaveJobEffect {
+  JobId job = 0;
+  bool with_film = false;
+};
+struct RemoveJobEffect {
+  JobId job = 0;
+};
+// Filter the picture as it is now and answer with PictureEvent; no sample is merged before that.
+struct EvaluatePictureEffect {
+  JobId job = 0;
+};
+// Filter the last picture, take the film's digest, and answer with JobFinishedEvent. The film does
+// not change any more.
+struct FinishJobEffect {
+  JobId job = 0;
+};
+
+using Effect = std::variant<SendEffect, CloseSessionEffect, JobChangedEffect, TileChangedEffect,
+                            SaveJobEffect, RemoveJobEffect, EvaluatePictureEffect,
+                            FinishJobEffect>;
+
+// What one step led to.
+struct StepResult {
+  absl::Status status;  // for the caller of the event
+  JobId job = 0;        // CreateJobEvent: the job that it named
+  std::vector<Effect> effects;
+};
+
+}  // namespace tessera

@@ -1,0 +1,103 @@
+// Everything that can happen to a coordinator.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "core/base/sha256.h"
+#include "core/film/film.h"
+#include "core/film/tile_statistics.h"
+#include "tessera/v1/job.pb.h"
+#include "tessera/v1/worker.pb.h"
+
+namespace tessera {
+
+using JobId = uint64_t;
+using SessionId = uint64_t;  // of one worker's stream; never reused
+using LeaseId = uint64_t;
+
+// A moment, handed in.
+struct Instant {
+  int64_t monotonic_ms = 0;
+  int64_t unix_ms = 0;
+};
+
+// Clients.
+struct CreateJobEvent {
+  v1::JobSettings settings;
+  std::string request_id;
+  std::shared_ptr<Film> film;  // samples to start from; null = none. The job becomes its owner.
+};
+enum class JobCommand { kPause, kResume, kCancel, kDelete };
+struct JobCommandEvent {
+  JobCommand command;
+  JobId job = 0;
+  std::string request_id;
+};
+
+// Start of the server: a job that the catalogue remembers. film: its checkpoint, null = none.
+struct RestoreJobEvent {
+  v1::Job job;
+  std::string request_id;
+  std::shared_ptr<Film> film;
+};
+
+// Workers.
+struct WorkerConnectedEvent {
+  SessionId session = 0;
+  v1::Hello hello;
+};
+struct WorkerGoneEvent {
+  SessionId session = 0;
+};
+// delta.payload has been decoded into `tile`.
+struct DeltaEvent {
+  SessionId session = 0;
+  v1::TileDelta delta;
+  int64_t wire_bytes = 0;
+  TileStatistics tile;
+};
+struct HeartbeatEvent {
+  SessionId session = 0;
+  std::vector<LeaseId> leases;
+};
+struct DeclineEvent {
+  SessionId session = 0;
+  v1::DeclineLease decline;
+};
+struct SceneReadyEvent {
+  SessionId session = 0;
+  v1::SceneReady ready;
+};
+struct SceneFailureEvent {
+  SessionId session = 0;
+  v1::SceneFailure failure;
+};
+struct DrainEvent {
+  SessionId session = 0;
+};
+
+// Answers to effects.
+// The served picture, filtered from everything that had been merged when it began.
+struct PictureEvent {
+  JobId job = 0;
+  int64_t committed_spp = 0;   // of the film when the filtering began
+  double estimated_error = 0;  // sqrt(relMSE); 0 = unknown
+  double filter_core_seconds = 0;  // spent since the last such event
+};
+struct JobFinishedEvent {
+  JobId job = 0;
+  Sha256Digest digest{};
+};
+
+struct TickEvent {};
+
+using Event =
+    std::variant<CreateJobEvent, JobCommandEvent, RestoreJobEvent, WorkerConnectedEvent,
+                 WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent, SceneReadyEvent,
+                 SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent, TickEvent>;
+
+}  // namespace tessera

@@ -1,0 +1,216 @@
+#include "server/coordinator/job_settings.h"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/str_split.h"
+#include "server/coordinator/limits.h"
+
+namespace tessera {
+namespace {
+
+template <typename... Parts>
+absl::Status Invalid(const Parts&... parts) {
+  return absl::InvalidArgumentError(absl::StrCat(parts...));
+}
+
+bool IsFinite(const v1::Vec3& v) {
+  return std::isfinite(v.x()) && std::isfinite(v.y()) && std::isfinite(v.z());
+}
+
+absl::Status CheckFrame(const v1::JobSettings& s) {
+  if (s.width() < 1 || s.height() < 1) {
+    return Invalid("settings.width x settings.height is ", s.width(), "x", s.height(),
+                   ": ask for at least 1x1 pixels");
+  }
+  if (s.width() > kFrameSideMaxPx || s.height() > kFrameSideMaxPx ||
+      int64_t{s.width()} * s.height() > kFramePixelsMax) {
+    return Invalid("settings.width x settings.height is ", s.width(), "x", s.height(),
+                   ": ask for at most ", kFrameSideMaxPx, " pixels a side and ", kFramePixelsMax,
+                   " in all, or render the frame in parts");
+  }
+  if (s.has_region()) {
+    const v1::Region& r = s.region();
+    if (r.width() < 1 || r.height() < 1 || r.x() < 0 || r.y() < 0 ||
+        r.width() > s.width() - r.x() || r.height() > s.height() - r.y()) {
+      return Invalid("settings.region ", r.x(), ",", r.y(), ",", r.width(), ",", r.height(),
+                     " is not inside the frame of ", s.width(), "x", s.height(),
+                     ": give X,Y,W,H with 0 <= X, 0 <= Y, X+W <= ", s.width(),
+                     ", Y+H <= ", s.height());
+    }
+  }
+  if (s.tile_size() < 1 || s.tile_size() > kTileSizeMaxPx) {
+    return Invalid("settings.tile_size is ", s.tile_size(), ": give 1 to ", kTileSizeMaxPx,
+                   " pixels, or 0 for the server's default");
+  }
+  const PixelRect region = RegionOf(s);
+  const int64_t columns = (region.width() + s.tile_size() - 1) / s.tile_size();
+  const int64_t rows = (region.height() + s.tile_size() - 1) / s.tile_size();
+  if (columns * rows > kTilesMax) {
+    return Invalid("settings.tile_size ", s.tile_size(), " cuts the region into ", columns * rows,
+                   " tiles, more than ", kTilesMax, ": give a larger tile size");
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckBudget(const v1::JobSettings& s) {
+  if (s.spp() < 1 || s.spp() > kSppMax) {
+    return Invalid("settings.spp is ", s.spp(), ": give 1 to ", kSppMax, " samples per pixel");
+  }
+  if (s.max_depth() < 0 || s.max_depth() > kMaxDepthMax) {
+    return Invalid("settings.max_depth is ", s.max_depth(), ": give 0 to ", kMaxDepthMax,
+                   " bounces");
+  }
+  if (!std::isfinite(s.target_error()) || s.target_error() < 0) {
+    return Invalid("settings.target_error is ", s.target_error(),
+                   ": give a positive number such as 0.02, or 0 for none");
+  }
+  if (s.has_max_time()) {
+    const auto& t = s.max_time();
+    if (t.seconds() < 0 || t.nanos() < 0 || t.nanos() > 999999999 ||
+        (t.seconds() == 0 && t.nanos() == 0) || t.seconds() > int64_t{10} * 366 * 86400) {
+      return Invalid("settings.max_time is ", t.seconds(), " s: give a positive time");
+    }
+  }
+  if (std::abs(s.priority()) > kPriorityMax) {
+    return Invalid("settings.priority is ", s.priority(), ": give -", kPriorityMax, " to ",
+                   kPriorityMax);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status CheckCamera(const v1::Camera& camera) {
+  if (camera.has_look_at()) {
+    const v1::LookAt& look = camera.look_at();
+    if (!IsFinite(look.from()) || !IsFinite(look.at()) || !IsFinite(look.up())) {
+      return Invalid("settings.camera.look_at has a coordinate that is not finite");
+    }
+    if (look.from().x() == look.at().x() && look.from().y() == look.at().y() &&
+        look.from().z() == look.at().z()) {
+      return Invalid("settings.camera.look_at: from and at are the same point: move one of them");
+    }
+    if (!(look.fov_y_degrees() > 0 && look.fov_y_degrees() < 180)) {
+      return Invalid("settings.camera.look_at.fov_y_degrees is ", look.fov_y_degrees(),
+                     ": give an angle between 0 and 180");
+    }
+  }
+  if (!(camera.lens_radius() >= 0) || !std::isfinite(camera.lens_radius())) {
+    return Invalid("settings.camera.lens_radius is ", camera.lens_radius(),
+                   ": give metres, 0 for a pinhole");
+  }
+  if (!(camera.focus_distance() >= 0) || !std::isfinite(camera.focus_distance())) {
+    return Invalid("settings.camera.focus_distance is ", camera.focus_distance(),
+                   ": give metres, at least 0");
+  }
+  return absl::OkStatus();
+}
+
+// A relative path that stays inside the scene's folder.
+bool IsInsideName(const std::string& name) {
+  if (name.empty() || name.size() > kNameBytesMax || name.front() == '/') return false;
+  if (name.find('\0') != std::string::npos || name.find('\\') != std::string::npos) return false;
+  for (absl::string_view part : absl::StrSplit(name, '/')) {
+    if (part.empty() || part == "." || part == "..") return false;
+  }
+  return true;
+}
+
+absl::Status CheckAssets(const v1::JobSettings& s) {
+  if (s.assets_size() > kAssetsMax) {
+    return Invalid("settings.assets has ", s.assets_size(), " files, more than ", kAssetsMax);
+  }
+  std::set<std::string> names;
+  for (const v1::AssetRef& asset : s.assets()) {
+    if (!IsInsideName(asset.name())) {
+      return Invalid("settings.assets: '", asset.name().substr(0, 200),
+                     "' is not a relative path inside the scene's folder");
+    }
+    if (asset.sha256().size() != 32) {
+      return Invalid("settings.assets: the sha256 of '", asset.name(), "' is ",
+                     asset.sha256().size(), " bytes long: give 32");
+    }
+    if (asset.size_bytes() < 0) {
+      return Invalid("settings.assets: the size of '", asset.name(), "' is negative");
+    }
+    if (!names.insert(asset.name()).second) {
+      return Invalid("settings.assets names '", asset.name(), "' twice");
+    }
+  }
+  if (!names.contains(s.scene_name())) {
+    return Invalid("settings.scene_name '", s.scene_name().substr(0, 200),
+                   "' is not among settings.assets: name the .glb or .gltf");
+  }
+  const v1::Environment& environment = s.environment();
+  if (environment.has_map_name() && !names.contains(environment.map_name())) {
+    return Invalid("settings.environment.map_name '", environment.map_name().substr(0, 200),
+                   "' is not among settings.assets: add the file");
+  }
+  if (environment.has_sky()) {
+    const v1::Vec3& sky = environment.sky();
+    if (!IsFinite(sky) || sky.x() < 0 || sky.y() < 0 || sky.z() < 0) {
+      return Invalid("settings.environment.sky ", sky.x(), ",", sky.y(), ",", sky.z(),
+                     ": give three radiances of at least 0");
+    }
+  }
+  if (!std::isfinite(environment.rotate_degrees())) {
+    return Invalid("settings.environment.rotate_degrees is not finite");
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+const std::vector<std::string>& IsaClasses() {
+  static const auto* const kClasses = new std::vector<std::string>{"x86-64-v3", "x86-64-v4"};
+  return *kClasses;
+}
+
+absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
+                                                 const SettingsDefaults& defaults) {
+  if (settings.isa().empty()) settings.set_isa(IsaClasses().front());
+  if (settings.tile_size() == 0) settings.set_tile_size(defaults.tile_size);
+  if (settings.quality() == v1::QUALITY_UNSPECIFIED) settings.set_quality(v1::QUALITY_FINAL);
+  if (settings.denoiser().empty() && !defaults.denoisers.empty()) {
+    settings.set_denoiser(defaults.denoisers.front());
+  }
+  if (std::ranges::find(IsaClasses(), settings.isa()) == IsaClasses().end()) {
+    return Invalid("settings.isa '", settings.isa().substr(0, 64), "' is unknown: give one of ",
+                   absl::StrJoin(IsaClasses(), ", "));
+  }
+  if (std::ranges::find(defaults.denoisers, settings.denoiser()) == defaults.denoisers.end()) {
+    return Invalid("settings.denoiser '", settings.denoiser().substr(0, 64),
+                   "' is unknown: give one of ", absl::StrJoin(defaults.denoisers, ", "));
+  }
+  if (!v1::Quality_IsValid(settings.quality())) {
+    return Invalid("settings.quality ", static_cast<int>(settings.quality()), " is unknown");
+  }
+  for (const absl::Status& status : {CheckFrame(settings), CheckBudget(settings),
+                                     CheckCamera(settings.camera()), CheckAssets(settings)}) {
+    if (!status.ok()) return status;
+  }
+  return settings;
+}
+
+PixelRect RegionOf(const v1::JobSettings& settings) {
+  if (settings.has_region()) return RectOf(settings.region());
+  return PixelRect::FromSize(0, 0, settings.width(), settings.height());
+}
+
+PixelRect RectOf(const v1::Region& region) {
+  return PixelRect::FromSize(region.x(), region.y(), region.width(), region.height());
+}
+
+v1::Region RegionProto(const PixelRect& rect) {
+  v1::Region region;
+  region.set_x(rect.x_begin);
+  region.set_y(rect.y_begin);
+  region.set_width(rect.width());
+  region.set_height(rect.height());
+  return region;
+}
+
+}  // namespace tessera

@@ -1,0 +1,32 @@
+// Checks and completes what a client asks for.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/base/pixel_rect.h"
+#include "tessera/v1/job.pb.h"
+
+namespace tessera {
+
+// What stands in for fields that a client left empty.
+struct SettingsDefaults {
+  int tile_size = 32;
+  std::vector<std::string> denoisers;  // known names, the default first
+};
+
+// The classes that workers may be asked for, the default first.
+const std::vector<std::string>& IsaClasses();
+
+// Returns `settings` with every default filled in.
+// Errors: INVALID_ARGUMENT naming the field, its value and the remedy.
+absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
+                                                 const SettingsDefaults& defaults);
+
+// The pixels that a job with complete settings renders.
+PixelRect RegionOf(const v1::JobSettings& settings);
+PixelRect RectOf(const v1::Region& region);
+v1::Region RegionProto(const PixelRect& rect);
+
+}  // namespace tessera

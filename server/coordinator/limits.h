@@ -1,0 +1,38 @@
+// The bounds of everything that outside data can drive (C6).
+#pragma once
+
+#include <cstdint>
+
+namespace tessera {
+
+inline constexpr int kFrameSideMaxPx = 1 << 16;
+inline constexpr int64_t kFramePixelsMax = int64_t{1} << 28;
+inline constexpr int64_t kSppMax = int64_t{1} << 30;
+inline constexpr int kMaxDepthMax = 1024;
+inline constexpr int kPriorityMax = 1000000;
+// A delta of one tile must stay below 1 MiB: 64 x 64 pixels of at most 184 bytes are 736 KiB.
+inline constexpr int kTileSizeMaxPx = 64;
+inline constexpr int64_t kTilesMax = int64_t{1} << 22;
+inline constexpr int kAssetsMax = 65536;
+inline constexpr int kNameBytesMax = 4096;
+inline constexpr int kRequestIdBytesMax = 128;
+inline constexpr int kErrorBytesMax = 4096;
+inline constexpr int kSceneNotesMax = 256;
+inline constexpr int kSceneMaterialsMax = 65536;
+
+inline constexpr int kJobsMax = 10000;
+inline constexpr int kRequestIdsMax = 4 * kJobsMax;
+inline constexpr int kWorkersMax = 4096;
+inline constexpr int kWorkerThreadsMax = 1024;
+inline constexpr int64_t kRaysPerSampleMax = 1 << 20;
+
+// One lease: about a second of one thread at half a million samples a second.
+inline constexpr int64_t kLeaseSamplesMax = int64_t{1} << 19;
+// How many ranges of one tile may be under way at once; bounds the film's waiting nodes.
+inline constexpr int kOpenStagesMax = 8;
+
+inline constexpr int kMessageBytesMax = 4 << 20;  // that the server receives
+inline constexpr int kChunkBytesMax = 1 << 20;    // of one streamed message
+inline constexpr int kListPageMax = 1000;
+
+}  // namespace tessera
