@@ -3,84 +3,212 @@
 #include <xxhash.h>
 #include <zstd.h>
 
+#include <array>
+#include <bit>
 #include <cmath>
 #include <cstring>
+#include <memory>
+#include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
 #include "core/film/fold.h"
+#include "core/film/plane_coding.h"
 
 namespace tessera {
 namespace {
 
-constexpr int kNumPlanes = int{kNumFloatPlanes} + int{kNumCountPlanes};
+static_assert(std::endian::native == std::endian::little);
+
+constexpr uint8_t kFormatVersion = 1;
 constexpr size_t kChecksumBytes = sizeof(uint64_t);
 constexpr int kCompressionLevel = 1;
+// Planes of one half: the float planes, then the count planes.
+constexpr int kFirstCountPlane = kNumFloatPlanes;
+constexpr int kNumPlanes = kFirstCountPlane + kNumCountPlanes;
+constexpr int kVarintBytesMax = 10;
+constexpr float kMeanMax = 2 * 0x1p60f;       // twice what samples allow: room for rounding
+constexpr float kMsdMax = kMeanMax * kMeanMax;
 
-size_t PackedBytes(const PixelRect& window) {
-  return static_cast<size_t>(window.area()) * kNumPlanes * kNumHalves * 4 + sizeof(int64_t);
-}
+// Planes of one quantity share their streams.
+struct Quantity {
+  int first_plane;
+  int num_planes;
+};
+constexpr Quantity kQuantities[] = {
+    {kRadianceMean, 3}, {kRadianceMsd, 3}, {kAlbedoMean, 3}, {kAlbedoMsd, 3},
+    {kNormalMean, 3},   {kNormalMsd, 3},   {kDepthMean, 1},  {kDepthMsd, 1},
+    {kFirstCountPlane + kHits, 1}, {kFirstCountPlane + kMaterialId, 1},
+    {kFirstCountPlane + kIdVotes, 1},
+};
 
-std::string Pack(const TileStatistics& tile) {
-  std::string packed;
-  packed.reserve(PackedBytes(tile.window()));
-  packed.append(reinterpret_cast<const char*>(&tile.non_finite), sizeof(tile.non_finite));
-  for (int half = 0; half < kNumHalves; ++half) {
-    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
-      const auto values = tile.Floats(half, plane);
-      packed.append(reinterpret_cast<const char*>(values.data()), values.size_bytes());
-    }
-    for (int plane = 0; plane < kNumCountPlanes; ++plane) {
-      const auto values = tile.Counts(half, plane);
-      packed.append(reinterpret_cast<const char*>(values.data()), values.size_bytes());
-    }
-  }
-  return packed;
-}
-
-TileStatistics Unpack(const PixelRect& window, SampleRange range, const std::string& packed) {
-  TileStatistics tile(window, range);
-  const char* from = packed.data();
-  const auto read = [&](void* to, size_t bytes) {
-    std::memcpy(to, from, bytes);
-    from += bytes;
-  };
-  read(&tile.non_finite, sizeof(tile.non_finite));
-  for (int half = 0; half < kNumHalves; ++half) {
-    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
-      read(tile.Floats(half, plane).data(), tile.Floats(half, plane).size_bytes());
-    }
-    for (int plane = 0; plane < kNumCountPlanes; ++plane) {
-      read(tile.Counts(half, plane).data(), tile.Counts(half, plane).size_bytes());
-    }
-  }
-  return tile;
-}
+using PlaneCodings = std::array<std::array<PlaneCoding, kNumPlanes>, kNumHalves>;
 
 bool IsMsdPlane(int plane) {
   return plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3);
 }
 
+PlaneLayout LayoutOf(int plane, const PixelRect& window) {
+  return {.is_float = plane < kFirstCountPlane, .row_px = window.width()};
+}
+
+void CopyWords(const TileStatistics& tile, int half, int plane, std::vector<uint32_t>* words) {
+  words->resize(static_cast<size_t>(tile.num_pixels()));
+  const void* from = plane < kFirstCountPlane
+                         ? static_cast<const void*>(tile.Floats(half, plane).data())
+                         : tile.Counts(half, plane - kFirstCountPlane).data();
+  std::memcpy(words->data(), from, words->size() * sizeof(uint32_t));
+}
+
+void StoreWords(const std::vector<uint32_t>& words, int half, int plane, TileStatistics* tile) {
+  void* to = plane < kFirstCountPlane
+                 ? static_cast<void*>(tile->Floats(half, plane).data())
+                 : tile->Counts(half, plane - kFirstCountPlane).data();
+  std::memcpy(to, words.data(), words.size() * sizeof(uint32_t));
+}
+
+void AppendVarint(uint64_t value, std::string* bytes) {
+  for (; value >= 0x80; value >>= 7) bytes->push_back(static_cast<char>(value | 0x80));
+  bytes->push_back(static_cast<char>(value));
+}
+
+// Reads a payload front to back; every read says whether there was enough.
+class ByteReader {
+ public:
+  explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
+
+  bool ReadByte(uint8_t* value) {
+    if (bytes_.empty()) return false;
+    *value = static_cast<uint8_t>(bytes_[0]);
+    bytes_.remove_prefix(1);
+    return true;
+  }
+  bool ReadVarint(uint64_t* value) {
+    *value = 0;
+    for (int i = 0; i < kVarintBytesMax; ++i) {
+      uint8_t byte;
+      if (!ReadByte(&byte)) return false;
+      *value |= static_cast<uint64_t>(byte & 0x7f) << (7 * i);
+      if (byte < 0x80) return true;
+    }
+    return false;
+  }
+  bool ReadBytes(uint64_t num_bytes, std::string_view* value) {
+    if (num_bytes > bytes_.size()) return false;
+    *value = bytes_.substr(0, num_bytes);
+    bytes_.remove_prefix(num_bytes);
+    return true;
+  }
+  bool empty() const { return bytes_.empty(); }
+
+ private:
+  std::string_view bytes_;
+};
+
+struct ZstdDeleter {
+  void operator()(ZSTD_CCtx* context) const { ZSTD_freeCCtx(context); }
+  void operator()(ZSTD_DCtx* context) const { ZSTD_freeDCtx(context); }
+};
+
+// Appends a stream: its compressed size, or 0 where compression does not pay, and the bytes.
+void AppendCompressed(std::string_view stream, std::string* payload) {
+  thread_local const std::unique_ptr<ZSTD_CCtx, ZstdDeleter> context(ZSTD_createCCtx());
+  thread_local std::string compressed;
+  compressed.resize(ZSTD_compressBound(stream.size()));
+  const size_t num_bytes = ZSTD_compressCCtx(context.get(), compressed.data(), compressed.size(),
+                                             stream.data(), stream.size(), kCompressionLevel);
+  TESSERA_CHECK(!ZSTD_isError(num_bytes));
+  if (num_bytes < stream.size()) {
+    AppendVarint(num_bytes, payload);
+    payload->append(compressed.data(), num_bytes);
+  } else {
+    AppendVarint(0, payload);
+    payload->append(stream);
+  }
+}
+
+bool ReadCompressed(ByteReader* reader, std::string* stream) {
+  thread_local const std::unique_ptr<ZSTD_DCtx, ZstdDeleter> context(ZSTD_createDCtx());
+  uint64_t num_bytes;
+  std::string_view bytes;
+  if (!reader->ReadVarint(&num_bytes)) return false;
+  if (!reader->ReadBytes(num_bytes == 0 ? stream->size() : num_bytes, &bytes)) return false;
+  if (num_bytes == 0) {
+    stream->assign(bytes);
+    return true;
+  }
+  return ZSTD_decompressDCtx(context.get(), stream->data(), stream->size(), bytes.data(),
+                             bytes.size()) == stream->size();
+}
+
+// Calls visit(half, plane) for the planes of the stream of `quantity`'s byte `byte_index`.
+template <typename Visitor>
+void VisitStream(const Quantity& quantity, int byte_index, const PlaneCodings& codings,
+                 const Visitor& visit) {
+  for (int half = 0; half < kNumHalves; ++half) {
+    for (int i = 0; i < quantity.num_planes; ++i) {
+      const int plane = quantity.first_plane + i;
+      if (codings[half][plane].width_bytes > byte_index) visit(half, plane);
+    }
+  }
+}
+
+absl::Status Malformed(std::string_view what) {
+  return absl::InvalidArgumentError(absl::StrCat(
+      "delta: ", absl::string_view(what.data(), what.size()),
+      "; it was damaged on its way or comes from another version: send it again"));
+}
+
+bool ReadCodings(ByteReader* reader, PlaneCodings* codings) {
+  for (int half = 0; half < kNumHalves; ++half) {
+    for (PlaneCoding& coding : (*codings)[half]) {
+      uint8_t predictor_and_width;
+      uint64_t base;
+      if (!reader->ReadByte(&predictor_and_width) || !reader->ReadByte(&coding.shift) ||
+          !reader->ReadVarint(&base)) {
+        return false;
+      }
+      coding.width_bytes = predictor_and_width & 7;
+      coding.predictor = static_cast<PlanePredictor>(predictor_and_width >> 3);
+      const auto last_predictor = half == 0 ? PlanePredictor::kLeft : PlanePredictor::kOtherHalf;
+      if (coding.width_bytes > 4 || coding.predictor > last_predictor || coding.shift > 31 ||
+          base > UINT32_MAX) {
+        return false;
+      }
+      coding.base = static_cast<uint32_t>(base);
+    }
+  }
+  return true;
+}
+
+// What no film's arithmetic survives or no renderer can have sent.
 absl::Status Validate(const TileStatistics& tile) {
   if (tile.non_finite < 0 || tile.non_finite > tile.num_pixels() * tile.range().size()) {
-    return absl::InvalidArgumentError("delta: more non-finite samples than samples");
+    return Malformed("more non-finite samples than samples");
   }
+  const size_t area = static_cast<size_t>(tile.num_pixels());
   for (int half = 0; half < kNumHalves; ++half) {
+    const uint32_t count = static_cast<uint32_t>(tile.HalfCount(half));
     for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+      const float least = IsMsdPlane(plane) ? 0 : -kMeanMax;
+      const float greatest = count == 0 ? 0 : IsMsdPlane(plane) ? kMsdMax : kMeanMax;
+      bool ok = true;  // false for NaN, too
       for (const float value : tile.Floats(half, plane)) {
-        if (!std::isfinite(value) || (IsMsdPlane(plane) && value < 0)) {
-          return absl::InvalidArgumentError(
-              absl::StrCat("delta: plane ", plane, " has a value that statistics cannot have"));
-        }
+        ok &= value >= (count == 0 ? 0 : least) && value <= greatest;
       }
+      if (!ok) return Malformed(absl::StrCat("float plane ", plane, " is out of range"));
     }
-    for (const int plane : {kHits, kIdVotes}) {
-      for (const uint32_t value : tile.Counts(half, plane)) {
-        if (value > static_cast<uint64_t>(tile.HalfCount(half))) {
-          return absl::InvalidArgumentError("delta: more hits or votes than samples");
-        }
-      }
+    const auto hits = tile.Counts(half, kHits);
+    const auto votes = tile.Counts(half, kIdVotes);
+    const auto depth_mean = tile.Floats(half, kDepthMean);
+    const auto depth_msd = tile.Floats(half, kDepthMsd);
+    bool ok = true;
+    for (size_t i = 0; i < area; ++i) {
+      ok &= hits[i] <= count && votes[i] <= count;
+      ok &= hits[i] > 0 || (depth_mean[i] == 0 && depth_msd[i] == 0);
     }
+    if (!ok) return Malformed("hits or votes do not fit the samples");
   }
   return absl::OkStatus();
 }
@@ -88,52 +216,120 @@ absl::Status Validate(const TileStatistics& tile) {
 }  // namespace
 
 EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
-  EncodedDelta delta;
-  delta.encoding = encoding;
-  delta.payload = Pack(tile);
-  const uint64_t checksum = XXH64(delta.payload.data(), delta.payload.size(), 0);
-  delta.payload.append(reinterpret_cast<const char*>(&checksum), kChecksumBytes);
-  delta.payload_bytes = static_cast<int64_t>(delta.payload.size());
-  if (encoding == DeltaEncoding::kPackedZstd) {
-    std::string compressed(ZSTD_compressBound(delta.payload.size()), '\0');
-    const size_t bytes = ZSTD_compress(compressed.data(), compressed.size(), delta.payload.data(),
-                                       delta.payload.size(), kCompressionLevel);
-    TESSERA_CHECK(!ZSTD_isError(bytes));
-    compressed.resize(bytes);
-    delta.payload = std::move(compressed);
+  const size_t area = static_cast<size_t>(tile.num_pixels());
+  const bool compress = encoding == DeltaEncoding::kPackedZstd;
+  PlaneCodings codings;
+  std::vector<uint32_t> words[kNumHalves];
+  std::vector<uint32_t> codes(area * kNumPlanes * kNumHalves);
+  const auto codes_of = [&](int half, int plane) {
+    return std::span(codes).subspan((half * kNumPlanes + plane) * area, area);
+  };
+  for (int plane = 0; plane < kNumPlanes; ++plane) {
+    const PlaneLayout layout = LayoutOf(plane, tile.window());
+    for (int half = 0; half < kNumHalves; ++half) {
+      CopyWords(tile, half, plane, &words[half]);
+      codings[half][plane] =
+          CodePlane(layout, words[half], half == 0 ? std::span<const uint32_t>() : words[0],
+                    compress, codes_of(half, plane));
+    }
   }
-  return delta;
+
+  std::string payload(1, static_cast<char>(kFormatVersion));
+  AppendVarint(static_cast<uint64_t>(tile.non_finite), &payload);
+  for (const auto& half_codings : codings) {
+    for (const PlaneCoding& coding : half_codings) {
+      payload.push_back(static_cast<char>(coding.width_bytes |
+                                          (static_cast<uint8_t>(coding.predictor) << 3)));
+      payload.push_back(static_cast<char>(coding.shift));
+      AppendVarint(coding.base, &payload);
+    }
+  }
+  size_t packed_bytes = payload.size() + kChecksumBytes;
+  std::string stream;
+  for (const Quantity& quantity : kQuantities) {
+    for (int byte_index = 0; byte_index < 4; ++byte_index) {
+      stream.clear();
+      VisitStream(quantity, byte_index, codings, [&](int half, int plane) {
+        stream.resize(stream.size() + area);
+        SplitByte(codes_of(half, plane), byte_index, stream.data() + stream.size() - area);
+      });
+      packed_bytes += stream.size();
+      if (!compress) {
+        payload += stream;
+      } else if (!stream.empty()) {
+        AppendCompressed(stream, &payload);
+      }
+    }
+  }
+  const uint64_t checksum = XXH64(payload.data(), payload.size(), 0);
+  payload.append(reinterpret_cast<const char*>(&checksum), kChecksumBytes);
+  return {encoding, std::move(payload), static_cast<int64_t>(packed_bytes)};
 }
 
 absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
                                            uint32_t encoding, std::string_view payload) {
   if (window.empty() || range.begin < 0 || range.empty() || range.end > kSamplesMax) {
-    return absl::InvalidArgumentError("delta: empty window or sample range out of [0, 2^31)");
+    return absl::InvalidArgumentError(
+        "delta: the window must have pixels and the sample range lie within [0, 2^31)");
   }
-  std::string packed;
-  const size_t packed_bytes = PackedBytes(window) + kChecksumBytes;
-  if (encoding == static_cast<uint32_t>(DeltaEncoding::kPacked)) {
-    if (payload.size() != packed_bytes) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("delta: ", payload.size(), " bytes instead of ", packed_bytes));
-    }
-    packed = std::string(payload);
-  } else if (encoding == static_cast<uint32_t>(DeltaEncoding::kPackedZstd)) {
-    packed.resize(packed_bytes);
-    const size_t bytes =
-        ZSTD_decompress(packed.data(), packed.size(), payload.data(), payload.size());
-    if (ZSTD_isError(bytes) || bytes != packed_bytes) {
-      return absl::InvalidArgumentError("delta: cannot be decompressed to its size");
-    }
-  } else {
-    return absl::InvalidArgumentError(absl::StrCat("delta: unknown encoding ", encoding));
+  if (encoding != static_cast<uint32_t>(DeltaEncoding::kPacked) &&
+      encoding != static_cast<uint32_t>(DeltaEncoding::kPackedZstd)) {
+    return absl::InvalidArgumentError(absl::StrCat("delta: unknown encoding ", encoding,
+                                                   "; use the server's version of the worker"));
   }
+  if (payload.size() < kChecksumBytes) return Malformed("too short");
+  const std::string_view body = payload.substr(0, payload.size() - kChecksumBytes);
   uint64_t checksum;
-  std::memcpy(&checksum, packed.data() + packed.size() - kChecksumBytes, kChecksumBytes);
-  if (checksum != XXH64(packed.data(), packed.size() - kChecksumBytes, 0)) {
-    return absl::InvalidArgumentError("delta: wrong checksum");
+  std::memcpy(&checksum, payload.data() + body.size(), kChecksumBytes);
+  if (checksum != XXH64(body.data(), body.size(), 0)) return Malformed("wrong checksum");
+
+  ByteReader reader(body);
+  uint8_t version;
+  uint64_t non_finite;
+  PlaneCodings codings;
+  if (!reader.ReadByte(&version) || version != kFormatVersion) return Malformed("unknown format");
+  if (!reader.ReadVarint(&non_finite) || !ReadCodings(&reader, &codings)) {
+    return Malformed("bad plane header");
   }
-  TileStatistics tile = Unpack(window, range, packed);
+
+  const size_t area = static_cast<size_t>(window.area());
+  std::vector<uint32_t> codes(area * kNumPlanes * kNumHalves);
+  const auto codes_of = [&](int half, int plane) {
+    return std::span(codes).subspan((half * kNumPlanes + plane) * area, area);
+  };
+  std::string stream;
+  for (const Quantity& quantity : kQuantities) {
+    for (int byte_index = 0; byte_index < 4; ++byte_index) {
+      size_t num_planes = 0;
+      VisitStream(quantity, byte_index, codings, [&](int, int) { ++num_planes; });
+      if (num_planes == 0) continue;
+      stream.resize(num_planes * area);
+      std::string_view bytes;
+      if (encoding == static_cast<uint32_t>(DeltaEncoding::kPacked)) {
+        if (!reader.ReadBytes(stream.size(), &bytes)) return Malformed("too few bytes");
+      } else {
+        if (!ReadCompressed(&reader, &stream)) return Malformed("a stream does not decompress");
+        bytes = stream;
+      }
+      VisitStream(quantity, byte_index, codings, [&](int half, int plane) {
+        JoinByte(bytes.data(), byte_index, codes_of(half, plane));
+        bytes.remove_prefix(area);
+      });
+    }
+  }
+  if (!reader.empty()) return Malformed("too many bytes");
+
+  TileStatistics tile(window, range);
+  tile.non_finite = static_cast<int64_t>(non_finite);
+  std::vector<uint32_t> words[kNumHalves];
+  for (int plane = 0; plane < kNumPlanes; ++plane) {
+    for (int half = 0; half < kNumHalves; ++half) {
+      words[half].resize(area);
+      RestorePlane(LayoutOf(plane, window), codings[half][plane], codes_of(half, plane), words[0],
+                   words[half]);
+      StoreWords(words[half], half, plane, &tile);
+    }
+  }
   if (absl::Status status = Validate(tile); !status.ok()) return status;
   return tile;
 }
