@@ -3,12 +3,14 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 
 #include <grpcpp/channel.h>
 
 #include "absl/status/status.h"
+#include "worker/session/renderer.h"
 
 namespace tessera {
 
@@ -17,12 +19,19 @@ struct WorkerOptions {
   int64_t memory_bytes = 0;     // for scenes; 0 = half of the machine's
   bool same_process = false;    // embedded: payloads uncompressed
   int connect_attempts_max = 0; // 0 = for ever
+  int64_t cache_bytes = int64_t{1} << 30;  // of fetched files kept for the next scene
+  std::string name;             // shown by the server; empty = the host's name
+  // One line about what happens; null = silent. Called on the thread of Run.
+  std::function<void(bool warning, const std::string& line)> log;
 };
 
 // Threads: Run blocks; Drain and Stop may be called from any thread (not from a signal handler).
 class WorkerSession {
  public:
   WorkerSession(std::shared_ptr<grpc::Channel> channel, const WorkerOptions& options);
+  // With a renderer of the caller's choice.
+  WorkerSession(std::shared_ptr<grpc::Channel> channel, const WorkerOptions& options,
+                std::unique_ptr<RendererFactory> factory);
   ~WorkerSession();
 
   // Serves until drained or stopped (OK), or until the server refuses this worker for good
@@ -38,5 +47,9 @@ class WorkerSession {
   class Impl;
   std::unique_ptr<Impl> impl_;
 };
+
+// A channel to a server at HOST:PORT that notices dead links and lets the session decide when to
+// try again.
+std::shared_ptr<grpc::Channel> MakeWorkerChannel(const std::string& address);
 
 }  // namespace tessera

@@ -1,0 +1,95 @@
+#include "worker/session/render_pool.h"
+
+#include <chrono>
+#include <utility>
+
+namespace tessera {
+
+RenderPool::RenderPool(int threads, DeltaEncoding encoding, Done done)
+    : encoding_(encoding), done_(std::move(done)) {
+  for (int i = 0; i < threads; ++i) threads_.emplace_back([this] { Run(); });
+}
+
+RenderPool::~RenderPool() {
+  {
+    std::lock_guard lock(mu_);
+    stopping_ = true;
+    for (const auto& [id, task] : alive_) task->cancelled = true;
+  }
+  cv_.notify_all();
+  for (std::thread& thread : threads_) thread.join();
+}
+
+void RenderPool::Start(uint64_t id, std::shared_ptr<const Renderer> renderer,
+                       const v1::Lease& lease) {
+  auto task = std::make_shared<Task>();
+  task->id = id;
+  task->renderer = std::move(renderer);
+  task->lease = lease;
+  {
+    std::lock_guard lock(mu_);
+    alive_[id] = task;
+    queue_.push_back(std::move(task));
+  }
+  cv_.notify_one();
+}
+
+void RenderPool::Cancel(uint64_t id) {
+  std::lock_guard lock(mu_);
+  if (const auto task = alive_.find(id); task != alive_.end()) task->second->cancelled = true;
+}
+
+void RenderPool::Run() {
+  while (true) {
+    std::shared_ptr<Task> task;
+    {
+      std::unique_lock lock(mu_);
+      cv_.wait(lock, [this] { return stopping_ || !queue_.empty(); });
+      if (stopping_) return;
+      task = std::move(queue_.front());
+      queue_.pop_front();
+    }
+    absl::StatusOr<v1::TileDelta> delta = Render(*task);
+    {
+      std::lock_guard lock(mu_);
+      alive_.erase(task->id);
+    }
+    done_(task->id, std::move(delta));
+  }
+}
+
+absl::StatusOr<v1::TileDelta> RenderPool::Render(const Task& task) const {
+  if (task.cancelled) return absl::CancelledError("cancelled before it began");
+  const v1::Region& region = task.lease.window();
+  const PixelRect window =
+      PixelRect::FromSize(region.x(), region.y(), region.width(), region.height());
+  const SampleRange range{task.lease.sample_begin(), task.lease.sample_end()};
+
+  const auto begin = std::chrono::steady_clock::now();
+  RenderCounters counters;
+  const absl::StatusOr<TileStatistics> tile =
+      task.renderer->Render(window, range, &task.cancelled, &counters);
+  if (!tile.ok()) return tile.status();
+  const auto elapsed = std::chrono::steady_clock::now() - begin;
+
+  EncodedDelta encoded = EncodeDelta(*tile, encoding_);
+  v1::TileDelta delta;
+  delta.set_lease_id(task.lease.id());
+  delta.set_job(task.lease.job());
+  delta.set_tile_index(task.lease.tile_index());
+  *delta.mutable_window() = region;
+  delta.set_sample_begin(range.begin);
+  delta.set_sample_end(range.end);
+  delta.set_payload(std::move(encoded.payload));
+  delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
+  delta.set_payload_bytes(encoded.payload_bytes);
+  delta.set_rays(counters.rays);
+  delta.set_non_finite(counters.non_finite);
+  const int64_t nanoseconds =
+      std::chrono::duration_cast<std::chrono::nanoseconds>(elapsed).count();
+  delta.mutable_render_time()->set_seconds(nanoseconds / 1000000000);
+  delta.mutable_render_time()->set_nanos(static_cast<int32_t>(nanoseconds % 1000000000));
+  return delta;
+}
+
+}  // namespace tessera

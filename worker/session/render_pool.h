@@ -1,0 +1,56 @@
+// Threads that render one lease at a time each and encode what they rendered.
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "core/film/delta_codec.h"
+#include "tessera/v1/worker.pb.h"
+#include "worker/session/renderer.h"
+
+namespace tessera {
+
+// Threads: all methods from any thread.
+class RenderPool {
+ public:
+  // Called once for each task, on a thread of the pool.
+  using Done = std::function<void(uint64_t task, absl::StatusOr<v1::TileDelta> delta)>;
+
+  RenderPool(int threads, DeltaEncoding encoding, Done done);
+  // Cancels all tasks and joins.
+  ~RenderPool();
+
+  void Start(uint64_t task, std::shared_ptr<const Renderer> renderer, const v1::Lease& lease);
+  // The task ends with CANCELLED, or with its delta when it was faster.
+  void Cancel(uint64_t task);
+
+ private:
+  struct Task {
+    uint64_t id = 0;
+    std::shared_ptr<const Renderer> renderer;  // shared with the cache: may be dropped from it
+    v1::Lease lease;
+    std::atomic<bool> cancelled = false;
+  };
+  void Run();
+  absl::StatusOr<v1::TileDelta> Render(const Task& task) const;
+
+  const DeltaEncoding encoding_;
+  const Done done_;
+  std::mutex mu_;
+  std::condition_variable cv_;
+  std::deque<std::shared_ptr<Task>> queue_;           // guarded by mu_
+  std::map<uint64_t, std::shared_ptr<Task>> alive_;   // guarded by mu_; queued and running
+  bool stopping_ = false;                             // guarded by mu_
+  std::vector<std::thread> threads_;
+};
+
+}  // namespace tessera

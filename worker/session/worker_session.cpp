@@ -1,0 +1,223 @@
+#include "worker/session/worker_session.h"
+
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <map>
+#include <mutex>
+#include <optional>
+#include <utility>
+
+#include <grpcpp/create_channel.h>
+#include <unistd.h>
+
+#include "core/base/version.h"
+#include "worker/session/asset_fetcher.h"
+#include "worker/session/host_resources.h"
+#include "worker/session/path_tracer_renderer.h"
+#include "worker/session/render_pool.h"
+#include "worker/session/scene_builder.h"
+#include "worker/session/session_machine.h"
+#include "worker/session/work_stream.h"
+
+namespace tessera {
+namespace {
+
+WorkerOptions WithDefaults(WorkerOptions options) {
+  if (options.threads <= 0) options.threads = MachineThreads();
+  if (options.memory_bytes <= 0) options.memory_bytes = MachineMemoryBytes() / 2;
+  if (options.name.empty()) options.name = MachineName();
+  return options;
+}
+
+// Spreads reconnects of workers that lost one server; decides nothing else.
+uint64_t JitterSeed() {
+  return static_cast<uint64_t>(getpid()) * 0x9e3779b97f4a7c15u ^
+         static_cast<uint64_t>(std::chrono::steady_clock::now().time_since_epoch().count());
+}
+
+SessionOptions MachineOptions(const WorkerOptions& options, uint64_t jitter_seed) {
+  SessionOptions session;
+  session.threads = options.threads;
+  session.memory_bytes = options.memory_bytes;
+  session.connect_attempts_max = options.connect_attempts_max;
+  session.jitter_seed = jitter_seed;
+  session.hello.set_host(options.name);
+  session.hello.set_process_id(getpid());
+  session.hello.set_threads(options.threads);
+  session.hello.set_memory_bytes(options.memory_bytes);
+  session.hello.set_version(kVersion);
+  for (const std::string& isa : SupportedIsaClasses()) session.hello.add_isa_classes(isa);
+  session.hello.set_same_process(options.same_process);
+  return session;
+}
+
+}  // namespace
+
+class WorkerSession::Impl {
+ public:
+  Impl(std::shared_ptr<grpc::Channel> channel, const WorkerOptions& options,
+       std::unique_ptr<RendererFactory> factory)
+      : options_(WithDefaults(options)),
+        jitter_seed_(JitterSeed()),
+        stub_(v1::WorkerService::NewStub(channel)),
+        factory_(std::move(factory)),
+        fetcher_(channel, options_.cache_bytes, jitter_seed_),
+        machine_(MachineOptions(options_, jitter_seed_)) {}
+
+  absl::Status Run();
+
+  void Post(SessionEvent event) {
+    {
+      std::lock_guard lock(mu_);
+      events_.push_back(std::move(event));
+    }
+    cv_.notify_one();
+  }
+
+ private:
+  // The next event, or Timer when the machine's timer is due.
+  SessionEvent NextEvent();
+  void OnBuilt(const std::string& scene, BuildOutcome outcome,
+               std::shared_ptr<const Renderer> renderer);
+
+  void Apply(session_effect::OpenStream&);
+  void Apply(session_effect::Write& effect) { stream_->Write(std::move(effect.message)); }
+  void Apply(session_effect::HalfClose&) { stream_->HalfClose(); }
+  void Apply(session_effect::AbortStream&) { stream_->Abort(); }
+  void Apply(session_effect::BuildScene& effect);
+  void Apply(session_effect::CancelBuild&) { builder_->Cancel(); }
+  void Apply(session_effect::DropScene& effect);
+  void Apply(session_effect::StartRender& effect);
+  void Apply(session_effect::CancelRender& effect) { pool_->Cancel(effect.task); }
+  void Apply(session_effect::Log& effect) {
+    if (options_.log) options_.log(effect.warning, effect.line);
+  }
+  void Apply(session_effect::Finish& effect) { result_ = std::move(effect.status); }
+
+  const WorkerOptions options_;
+  const uint64_t jitter_seed_;
+  std::unique_ptr<v1::WorkerService::Stub> stub_;
+  std::unique_ptr<RendererFactory> factory_;
+  AssetFetcher fetcher_;
+  SessionMachine machine_;           // Run's thread only
+  std::optional<absl::Status> result_;  // Run's thread only
+
+  std::mutex mu_;
+  std::condition_variable cv_;
+  std::deque<SessionEvent> events_;  // guarded by mu_
+  // Guarded by mu_. Shared with the tasks that render them: a scene may be dropped before a
+  // cancelled task has noticed.
+  std::map<std::string, std::shared_ptr<const Renderer>> scenes_;
+
+  // Alive during Run; destroyed first, so that nobody posts to what is gone.
+  std::unique_ptr<RenderPool> pool_;
+  std::unique_ptr<SceneBuilder> builder_;
+  std::unique_ptr<WorkStream> stream_;
+};
+
+absl::Status WorkerSession::Impl::Run() {
+  const DeltaEncoding encoding =
+      options_.same_process ? DeltaEncoding::kPacked : DeltaEncoding::kPackedZstd;
+  pool_ = std::make_unique<RenderPool>(
+      options_.threads, encoding, [this](uint64_t task, absl::StatusOr<v1::TileDelta> delta) {
+        Post(session_event::Rendered{task, std::move(delta)});
+      });
+  builder_ = std::make_unique<SceneBuilder>(
+      *factory_, fetcher_, options_.memory_bytes, options_.threads,
+      [this](const std::string& scene, BuildOutcome outcome,
+             std::shared_ptr<const Renderer> renderer) {
+        OnBuilt(scene, std::move(outcome), std::move(renderer));
+      });
+
+  SessionEvent event = session_event::Start{};
+  while (!result_) {
+    std::vector<SessionEffect> effects =
+        machine_.Step(std::move(event), std::chrono::steady_clock::now());
+    for (SessionEffect& effect : effects) {
+      std::visit([this](auto& e) { Apply(e); }, effect);
+    }
+    if (!result_) event = NextEvent();
+  }
+  stream_.reset();
+  pool_.reset();
+  builder_.reset();
+  return *result_;
+}
+
+SessionEvent WorkerSession::Impl::NextEvent() {
+  const std::optional<SessionTime> timer = machine_.NextTimer();
+  std::unique_lock lock(mu_);
+  const auto ready = [this] { return !events_.empty(); };
+  if (timer) {
+    if (!cv_.wait_until(lock, *timer, ready)) return session_event::Timer{};
+  } else {
+    cv_.wait(lock, ready);
+  }
+  SessionEvent event = std::move(events_.front());
+  events_.pop_front();
+  return event;
+}
+
+void WorkerSession::Impl::OnBuilt(const std::string& scene, BuildOutcome outcome,
+                                  std::shared_ptr<const Renderer> renderer) {
+  if (renderer) {
+    std::lock_guard lock(mu_);
+    scenes_[scene] = std::move(renderer);
+  }
+  Post(session_event::SceneBuilt{scene, std::move(outcome)});
+}
+
+void WorkerSession::Impl::Apply(session_effect::OpenStream&) {
+  stream_.reset();
+  stream_ = std::make_unique<WorkStream>(*stub_, [this](SessionEvent e) { Post(std::move(e)); });
+}
+
+void WorkerSession::Impl::Apply(session_effect::BuildScene& effect) {
+  builder_->Build(effect.scene, effect.settings);
+}
+
+void WorkerSession::Impl::Apply(session_effect::DropScene& effect) {
+  std::shared_ptr<const Renderer> dropped;  // freed after the lock
+  std::lock_guard lock(mu_);
+  if (const auto scene = scenes_.find(effect.scene); scene != scenes_.end()) {
+    dropped = std::move(scene->second);
+    scenes_.erase(scene);
+  }
+}
+
+void WorkerSession::Impl::Apply(session_effect::StartRender& effect) {
+  std::shared_ptr<const Renderer> renderer;
+  {
+    std::lock_guard lock(mu_);
+    renderer = scenes_.at(effect.scene);
+  }
+  pool_->Start(effect.task, std::move(renderer), effect.lease);
+}
+
+WorkerSession::WorkerSession(std::shared_ptr<grpc::Channel> channel, const WorkerOptions& options)
+    : WorkerSession(std::move(channel), options, MakePathTracerFactory()) {}
+
+WorkerSession::WorkerSession(std::shared_ptr<grpc::Channel> channel, const WorkerOptions& options,
+                             std::unique_ptr<RendererFactory> factory)
+    : impl_(std::make_unique<Impl>(std::move(channel), options, std::move(factory))) {}
+
+WorkerSession::~WorkerSession() = default;
+
+absl::Status WorkerSession::Run() { return impl_->Run(); }
+void WorkerSession::Drain() { impl_->Post(session_event::DrainRequested{}); }
+void WorkerSession::Stop() { impl_->Post(session_event::StopRequested{}); }
+
+std::shared_ptr<grpc::Channel> MakeWorkerChannel(const std::string& address) {
+  grpc::ChannelArguments arguments;
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
+  arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 100);
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2000);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 10000);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 5000);
+  arguments.SetInt(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
+  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
+}
+
+}  // namespace tessera
