@@ -1,0 +1,25 @@
+// Reads EXR, HDR (Radiance RGBE) and PNG files into linear floats with named channels.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "core/image/image.h"
+
+namespace tessera {
+
+struct ImageReadLimits {
+  int64_t pixels_max = int64_t{1} << 28;  // 16384 x 16384
+  int64_t values_max = int64_t{1} << 30;  // pixels times channels
+};
+
+// Reads the first picture of the file. EXR: half and float become floats, uint stays integer; an attribute tessera:KEY becomes metadata KEY. PNG: sRGB is decoded to linear light and
+// alpha multiplied in. A single channel Y is copied to R, G and B. The bytes decide the format, not
+// the name of the file.
+//
+// Errors: NOT_FOUND, PERMISSION_DENIED, INVALID_ARGUMENT (not an image, truncated, beyond a limit);
+// each names the file and what to do.
+absl::StatusOr<Image> ReadImage(const std::string& path, const ImageReadLimits& limits = {});
+
+}  // namespace tessera

@@ -1,0 +1,17 @@
+// The sRGB transfer and its inverse.
+#include <cmath>
+
+#include "core/image/display_transform.h"
+#include "gtest/gtest.h"
+
+namespace tessera {
+namespace {
+
+TEST(DisplayTransform, SrgbIsItsOwnInverse) {
+  for (int code = 0; code < 256; ++code) {
+    EXPECT_EQ(std::lround(SrgbEncode(SrgbDecode(static_cast<float>(code) / 255)) * 255), code);
+  }
+}
+
+}  // namespace
+}  // namespace tessera

@@ -1,0 +1,76 @@
+// Unreadable, truncated, damaged and oversized images: clear errors, no crash.
+#include <random>
+
+#include "core/image/exr_writer.h"
+#include "core/image/image_reader.h"
+#include "core/image/png_writer.h"
+#include "gmock/gmock.h"
+#include "gtest/gtest.h"
+#include "tests/core/image/image_fixture.h"
+
+namespace tessera {
+namespace {
+
+using ::testing::HasSubstr;
+
+using ImageReaderTest = TempFolderTest;
+
+TEST_F(ImageReaderTest, UnreadableFilesAreNamedWithTheCause) {
+  const auto message = [&](const std::string& path) {
+    const absl::StatusOr<Image> image = ReadImage(path);
+    EXPECT_FALSE(image.ok()) << path;
+    EXPECT_THAT(std::string(image.status().message()), HasSubstr(path));
+    return std::string(image.status().message());
+  };
+  EXPECT_THAT(message(Path("missing.exr")), HasSubstr("No such file"));
+  EXPECT_THAT(message(folder_.string()), HasSubstr("not a regular file"));
+  WriteBytes("empty.exr", "");
+  EXPECT_THAT(message(Path("empty.exr")), HasSubstr("empty"));
+  WriteBytes("text.png", "once upon a time, there was no image");
+  EXPECT_THAT(message(Path("text.png")), HasSubstr("not an image"));
+  WriteBytes("magic.exr", std::string("\x76\x2f\x31\x01", 4));
+  EXPECT_THAT(message(Path("magic.exr")), HasSubstr("damaged"));
+}
+
+TEST_F(ImageReaderTest, TruncatedFilesAreRefusedAtEveryLength) {
+  ASSERT_TRUE(WriteExr(Path("whole.exr"), MixedImage(40, 40)).ok());
+  Image color = MixedImage(40, 40);
+  ASSERT_TRUE(WritePng(Path("whole.png"), color, {}).ok());
+  for (const std::string extension : {".exr", ".png"}) {
+    const std::string bytes = ReadBytes("whole" + extension);
+    for (int eighths = 1; eighths < 8; ++eighths) {
+      WriteBytes("cut" + extension, bytes.substr(0, bytes.size() * eighths / 8));
+      EXPECT_FALSE(ReadImage(Path("cut" + extension)).ok()) << extension << " " << eighths;
+    }
+  }
+}
+
+TEST_F(ImageReaderTest, DamagedFilesDoNotCrash) {
+  ASSERT_TRUE(WriteExr(Path("whole.exr"), MixedImage(20, 20)).ok());
+  const std::string bytes = ReadBytes("whole.exr");
+  std::mt19937 random(7);
+  for (int i = 0; i < 200; ++i) {
+    std::string damaged = bytes;
+    for (int k = 0; k < 4; ++k) {
+      damaged[random() % (i % 2 == 0 ? damaged.size() : size_t{1200})] =
+          static_cast<char>(random());
+    }
+    WriteBytes("damaged.exr", damaged);
+    const absl::StatusOr<Image> image =
+        ReadImage(Path("damaged.exr"), {.pixels_max = 1 << 16, .values_max = 1 << 20});
+    if (!image.ok()) {
+      EXPECT_THAT(std::string(image.status().message()), HasSubstr("damaged"));
+    }
+  }
+}
+
+TEST_F(ImageReaderTest, SizeLimitsAreStated) {
+  ASSERT_TRUE(WriteExr(Path("a.exr"), MixedImage(40, 40)).ok());
+  const absl::StatusOr<Image> image = ReadImage(Path("a.exr"), {.pixels_max = 1599});
+  ASSERT_EQ(image.status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(image.status().message()), HasSubstr("40x40"));
+  EXPECT_TRUE(ReadImage(Path("a.exr"), {.pixels_max = 1600}).ok());
+}
+
+}  // namespace
+}  // namespace tessera
