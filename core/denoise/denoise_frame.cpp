@@ -1,0 +1,71 @@
+#include "core/denoise/denoise_frame.h"
+
+#include <cstdio>
+#include <cstdlib>
+#include <vector>
+
+#include "oneapi/tbb/parallel_for.h"
+#include "oneapi/tbb/task_arena.h"
+
+namespace tessera {
+namespace {
+
+// Windows are cut to this before they are filtered: large against a halo, small against a frame.
+constexpr int kWindowSizePx = 128;
+
+void CheckFits(bool fits) {
+  if (fits) return;
+  std::fputs("DenoiseWindows: a window or its halo lies outside the planes\n", stderr);
+  std::abort();
+}
+
+std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows) {
+  std::vector<PixelRect> parts;
+  for (const PixelRect& window : windows) {
+    for (int y = window.y_begin; y < window.y_end; y += kWindowSizePx) {
+      for (int x = window.x_begin; x < window.x_end; x += kWindowSizePx) {
+        parts.push_back(PixelRect::FromSize(x, y, kWindowSizePx, kWindowSizePx).Intersect(window));
+      }
+    }
+  }
+  return parts;
+}
+
+}  // namespace
+
+void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
+                    const FrameParameters& parameters, std::span<const PixelRect> windows,
+                    int num_threads, FilteredPlanes* out) {
+  for (const PixelRect& window : windows) {
+    if (window.empty()) continue;
+    const PixelRect read = window.Expand(denoiser.halo_px()).Intersect(parameters.frame);
+    CheckFits(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
+              out->bounds.Contains(window));
+  }
+  const std::vector<PixelRect> parts = SplitWindows(windows);
+  if (num_threads <= 1) {
+    for (const PixelRect& part : parts) denoiser.Filter(planes, parameters, part, out);
+    return;
+  }
+  oneapi::tbb::task_arena arena(num_threads);
+  arena.execute([&] {
+    oneapi::tbb::parallel_for(
+        oneapi::tbb::blocked_range<size_t>(0, parts.size(), 1),
+        [&](const oneapi::tbb::blocked_range<size_t>& range) {
+          for (size_t i = range.begin(); i < range.end(); ++i) {
+            denoiser.Filter(planes, parameters, parts[i], out);
+          }
+        },
+        oneapi::tbb::simple_partitioner());
+  });
+}
+
+FilteredPlanes DenoiseFrame(const Denoiser& denoiser, const FramePlanes& planes,
+                            DenoiseQuality quality, int num_threads) {
+  FilteredPlanes out(planes.bounds);
+  const PixelRect windows[] = {planes.bounds};
+  DenoiseWindows(denoiser, planes, {planes.bounds, quality}, windows, num_threads, &out);
+  return out;
+}
+
+}  // namespace tessera
