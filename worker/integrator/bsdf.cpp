@@ -1,0 +1,183 @@
+#include "worker/integrator/bsdf.h"
+
+#include "worker/integrator/microfacet.h"
+#include "worker/integrator/specular_albedo.h"
+
+namespace tessera {
+
+using Imath::V2f;
+using Imath::V3f;
+
+namespace {
+
+// A refracting boundary of index 1 would be a delta whatever its roughness; keep it a lobe.
+constexpr float kRefractingIorMin = 1.005f;
+
+float RelativeIndex(const BsdfParameters& p) {
+  if (p.thin_walled) return p.ior;
+  const float ior = std::max(p.ior, kRefractingIorMin);
+  return p.entering ? ior : 1 / ior;
+}
+
+}  // namespace
+
+Bsdf::Bsdf(const BsdfParameters& p, const V3f& wo)
+    : wo_(wo),
+      alpha_(AlphaOfRoughness(p.roughness)),
+      roughness_(p.roughness),
+      lambda_o_(GgxLambda(wo, alpha_)),
+      eta_(RelativeIndex(p)),
+      thin_walled_(p.thin_walled),
+      base_color_(p.base_color) {
+  const float dielectric = (1 - p.metallic) * (1 - p.transmission);
+  glass_weight_ = (1 - p.metallic) * p.transmission;
+  coat_f0_ = Sqr((p.ior - 1) / (p.ior + 1));
+  // No interface, no grazing reflection: F90 fades with F0 below 2 %.
+  coat_f90_ = Clamp01(50 * coat_f0_);
+  f0_ = V3f(dielectric * coat_f0_) + p.base_color * p.metallic;
+  f90_ = dielectric * coat_f90_ + p.metallic;
+
+  const SpecularAlbedoTable& table = SpecularAlbedoTable::Get();
+  const SpecularAlbedo towards_wo = table.Lookup(wo.z, roughness_);
+  specular_albedo_ = f0_ * towards_wo.scale + V3f(f90_ * towards_wo.bias);
+  // Kelemen & Szirmay-Kalos 2001: what the coat reflects from either side does not reach the base.
+  const SpecularAlbedo average = table.Average(roughness_);
+  diffuse_share_ = 1 - (coat_f0_ * towards_wo.scale + coat_f90_ * towards_wo.bias);
+  share_average_ = std::max(1 - (coat_f0_ * average.scale + coat_f90_ * average.bias), 1e-6f);
+  diffuse_ = p.base_color * (dielectric / share_average_);
+
+  const float diffuse = MaxComponent(p.base_color) * dielectric * diffuse_share_;
+  const float specular = MaxComponent(specular_albedo_);
+  const float total = diffuse + specular + glass_weight_;
+  if (total > 0) {
+    p_diffuse_ = diffuse / total;
+    p_specular_ = specular / total;
+    p_glass_ = glass_weight_ / total;
+  }
+}
+
+float Bsdf::CoatAlbedo(float mu) const {
+  if (coat_f90_ == 0) return 0;
+  const SpecularAlbedo a = SpecularAlbedoTable::Get().Lookup(mu, roughness_);
+  return coat_f0_ * a.scale + coat_f90_ * a.bias;
+}
+
+float Bsdf::GlassFresnel(float cosine, float* cos_t) const {
+  return FresnelDielectric(cosine, eta_, cos_t);
+}
+
+BsdfValue Bsdf::Evaluate(const V3f& wi) const {
+  if (wi.z > 0) return EvaluateReflection(wi);
+  if (glass_weight_ > 0 && wi.z < 0) {
+    return thin_walled_ ? EvaluateThinTransmission(wi) : EvaluateRefraction(wi);
+  }
+  return {};
+}
+
+BsdfValue Bsdf::EvaluateReflection(const V3f& wi) const {
+  BsdfValue value;
+  if (p_diffuse_ > 0) {
+    const float cosine = wi.z * kInvPi;
+    value.f_cos = diffuse_ * (diffuse_share_ * (1 - CoatAlbedo(wi.z)) * cosine);
+    value.pdf = p_diffuse_ * cosine;
+  }
+  if (p_specular_ + p_glass_ > 0) {
+    const V3f h = Unit(wo_ + wi);
+    const float o_h = Clamp01(wo_.dot(h));
+    const float density = GgxD(h, alpha_) / (4 * wo_.z);
+    const float g2 = 1 / (1 + lambda_o_ + GgxLambda(wi, alpha_));
+    const float schlick = SchlickWeight(o_h);
+    V3f fresnel = f0_ * (1 - schlick) + V3f(f90_ * schlick);
+    float p_reflect = p_specular_;
+    if (p_glass_ > 0) {
+      float cos_t;
+      const float glass = GlassFresnel(o_h, &cos_t);
+      fresnel += V3f(glass_weight_ * glass);
+      p_reflect += p_glass_ * glass;
+    }
+    value.f_cos += fresnel * (density * g2);
+    value.pdf += p_reflect * density / (1 + lambda_o_);
+  }
+  return value;
+}
+
+BsdfValue Bsdf::EvaluateThinTransmission(const V3f& wi) const {
+  // The lobe of a reflection, mirrored to the other side (KHR_materials_transmission).
+  const V3f mirrored(wi.x, wi.y, -wi.z);
+  const V3f h = Unit(wo_ + mirrored);
+  float cos_t;
+  const float transmitted = 1 - GlassFresnel(Clamp01(wo_.dot(h)), &cos_t);
+  const float density = GgxD(h, alpha_) / (4 * wo_.z);
+  const float g2 = 1 / (1 + lambda_o_ + GgxLambda(mirrored, alpha_));
+  return {base_color_ * (glass_weight_ * transmitted * density * g2),
+          p_glass_ * transmitted * density / (1 + lambda_o_)};
+}
+
+BsdfValue Bsdf::EvaluateRefraction(const V3f& wi) const {
+  // Walter et al. 2007, eq. 16-17: the half vector of refraction, turned to wo's side.
+  V3f h = wo_ + wi * eta_;
+  const float length2 = h.dot(h);
+  if (!(length2 > 1e-12f)) return {};
+  h = h * (1 / std::sqrt(length2));
+  if (h.z < 0) h = -h;
+  const float o_h = wo_.dot(h), i_h = wi.dot(h);
+  if (o_h <= 0 || i_h >= 0) return {};
+  float cos_t;
+  const float transmitted = 1 - GlassFresnel(Clamp01(o_h), &cos_t);
+  const float jacobian = eta_ * eta_ * -i_h / Sqr(o_h + eta_ * i_h);
+  const float density = GgxD(h, alpha_) * o_h / wo_.z * jacobian;
+  const float g2 = 1 / (1 + lambda_o_ + GgxLambda(wi, alpha_));
+  return {base_color_ * (glass_weight_ * transmitted * density * g2),
+          p_glass_ * transmitted * density / (1 + lambda_o_)};
+}
+
+bool Bsdf::SampleGlass(float u_lobe, const V2f& u, V3f* wi) const {
+  const V3f h = SampleGgxVisibleNormal(wo_, alpha_, u);
+  const float o_h = Clamp01(wo_.dot(h));
+  float cos_t;
+  const float reflected = GlassFresnel(o_h, &cos_t);
+  if (u_lobe < reflected) {
+    *wi = h * (2 * o_h) - wo_;
+    return wi->z > 0;
+  }
+  if (thin_walled_) {
+    const V3f mirrored = h * (2 * o_h) - wo_;
+    *wi = {mirrored.x, mirrored.y, -mirrored.z};
+  } else {
+    *wi = Unit(h * (o_h / eta_ - cos_t) - wo_ * (1 / eta_));
+  }
+  return wi->z < 0;
+}
+
+bool Bsdf::Sample(float u_lobe, const V2f& u, BsdfSample* sample) const {
+  V3f wi;
+  if (u_lobe < p_diffuse_) {
+    const SinCos<float> phi = SinCosTurns(u.x);
+    const float r = std::sqrt(u.y);
+    wi = {r * phi.cos, r * phi.sin, std::sqrt(1 - u.y)};
+  } else if (u_lobe < p_diffuse_ + p_specular_ || p_glass_ == 0) {
+    if (p_specular_ == 0) return false;
+    const V3f h = SampleGgxVisibleNormal(wo_, alpha_, u);
+    wi = h * (2 * wo_.dot(h)) - wo_;
+    if (wi.z <= 0) return false;
+  } else {
+    const float u_glass = Clamp01((u_lobe - p_diffuse_ - p_specular_) / p_glass_);
+    if (!SampleGlass(u_glass, u, &wi)) return false;
+  }
+  const BsdfValue value = Evaluate(wi);
+  if (!(value.pdf > 0)) return false;
+  *sample = {wi, value.f_cos * (1 / value.pdf), value.pdf};
+  return true;
+}
+
+V3f Bsdf::Albedo() const {
+  V3f albedo = diffuse_ * (diffuse_share_ * share_average_) + specular_albedo_;
+  if (glass_weight_ > 0) {
+    float cos_t;
+    const float reflected = GlassFresnel(wo_.z, &cos_t);
+    albedo += (V3f(reflected) + base_color_ * (1 - reflected)) * glass_weight_;
+  }
+  return {Clamp01(albedo.x), Clamp01(albedo.y), Clamp01(albedo.z)};
+}
+
+}  // namespace tessera

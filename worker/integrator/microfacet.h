@@ -1,0 +1,66 @@
+// The isotropic GGX microfacet distribution with Smith's height-correlated masking, in the local
+// frame of the surface (z = normal). Walter et al. 2007; Heitz 2014, "Understanding the
+// Masking-Shadowing Function"; Dupuy & Benyoub 2023, "Sampling Visible GGX Normals with Spherical
+// Caps".
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+
+#include <Imath/ImathVec.h>
+
+#include "worker/integrator/portable_math.h"
+
+namespace tessera {
+
+// Smaller widths than this are not told apart in float; 0.02 degrees.
+inline constexpr float kAlphaMin = 2e-4f;
+
+inline float AlphaOfRoughness(float roughness) { return std::max(roughness * roughness, kAlphaMin); }
+
+// Density of normals, 1/sr. Written without the difference 1 - z^2, which cancels for small alpha.
+inline float GgxD(const Imath::V3f& h, float alpha) {
+  const float a2 = alpha * alpha;
+  const float t = (h.x * h.x + h.y * h.y) / a2 + h.z * h.z;
+  return 1 / (kPi * a2 * t * t);
+}
+
+// Smith's Lambda.
+inline float GgxLambda(const Imath::V3f& w, float alpha) {
+  const float z2 = w.z * w.z;
+  if (!(z2 > 0)) return 1e18f;
+  const float tan2 = (w.x * w.x + w.y * w.y) / z2;
+  return 0.5f * (std::sqrt(1 + alpha * alpha * tan2) - 1);
+}
+
+// A microfacet normal with density G1(wo) max(0, wo.h) D(h) / wo.z; wo.z > 0.
+inline Imath::V3f SampleGgxVisibleNormal(const Imath::V3f& wo, float alpha, const Imath::V2f& u) {
+  const Imath::V3f o = Unit({wo.x * alpha, wo.y * alpha, wo.z});
+  const SinCos<float> phi = SinCosTurns(u.x);
+  const float z = (1 - u.y) * (1 + o.z) - o.z;
+  const float r = std::sqrt(Clamp01(1 - z * z));
+  const Imath::V3f h(r * phi.cos + o.x, r * phi.sin + o.y, z + o.z);
+  return Unit({h.x * alpha, h.y * alpha, std::max(h.z, 1e-12f)});
+}
+
+// Schlick 1994: the weight (1 - cos)^5 of F90.
+inline float SchlickWeight(float cosine) {
+  const float m = Clamp01(1 - cosine);
+  return Sqr(m * m) * m;
+}
+
+// Fresnel reflectance of a smooth dielectric; eta = index on the transmitted side over the incident
+// side; cos_i in [0, 1]. Writes the transmitted cosine, 0 under total reflection.
+inline float FresnelDielectric(float cos_i, float eta, float* cos_t) {
+  const float sin2_t = (1 - cos_i * cos_i) / (eta * eta);
+  if (sin2_t >= 1) {
+    *cos_t = 0;
+    return 1;
+  }
+  *cos_t = std::sqrt(1 - sin2_t);
+  const float parallel = (eta * cos_i - *cos_t) / (eta * cos_i + *cos_t);
+  const float perpendicular = (cos_i - eta * *cos_t) / (cos_i + eta * *cos_t);
+  return 0.5f * (parallel * parallel + perpendicular * perpendicular);
+}
+
+}  // namespace tessera

@@ -1,0 +1,232 @@
+#include "worker/integrator/surface_reader.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "worker/integrator/portable_math.h"
+#include "worker/integrator/texture_lookup.h"
+
+namespace tessera {
+namespace {
+
+template <typename T>
+T Interpolate(const std::vector<T>& values, const std::array<uint32_t, 3>& corner, float u, float v) {
+  return values[corner[0]] * (1 - u - v) + values[corner[1]] * u + values[corner[2]] * v;
+}
+
+V2f TextureUv(const Mesh& mesh, const TextureRef& ref, const std::array<uint32_t, 3>& corner, float u,
+              float v) {
+  const std::vector<V2f>& uvs = mesh.uvs[ref.uv_set == 1 ? 1 : 0];
+  return uvs.empty() ? V2f(0, 0) : Interpolate(uvs, corner, u, v);
+}
+
+// Beer-Lambert coefficient from KHR_materials_volume; infinite attenuation is bounded.
+V3f AbsorptionOf(const Material& material) {
+  V3f absorption(0, 0, 0);
+  if (material.transmission <= 0 || material.thickness <= 0 || material.attenuation_distance <= 0) {
+    return absorption;
+  }
+  for (int c = 0; c < 3; ++c) {
+    const double colour = std::clamp<double>(material.attenuation_color[c], 1e-6, 1.0);
+    absorption[c] = static_cast<float>(-std::log(colour) / material.attenuation_distance);
+  }
+  return absorption;
+}
+
+// Turns `ns` towards `ng` until wo and its mirror image about ns are above the surface, so that
+// every direction that the shading frame reflects by a mirror exists. All unit, ng.wo > 0.
+V3f AboveSurface(const V3f& ns, const V3f& ng, const V3f& wo) {
+  const float o_g = wo.dot(ng);
+  // A mirror image at least this high: low enough not to bend normals at grazing views.
+  const float height_min = std::min(0.9f * o_g, 0.01f);
+  const auto valid = [&](const V3f& n) {
+    const float o_n = wo.dot(n);
+    return o_n > 0 && 2 * o_n * n.dot(ng) - o_g >= height_min;
+  };
+  if (valid(ns)) return ns;
+  float low = 0, high = 1;  // share of ng: `high` is valid
+  for (int step = 0; step < 8; ++step) {
+    const float middle = 0.5f * (low + high);
+    if (valid(Unit(ns + (ng - ns) * middle))) {
+      high = middle;
+    } else {
+      low = middle;
+    }
+  }
+  return Unit(ns + (ng - ns) * high);
+}
+
+}  // namespace
+
+SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometry> geometries)
+    : scene_(scene), geometries_(geometries) {
+  for (const Material& material : scene.materials) absorption_.push_back(AbsorptionOf(material));
+  for (const Texture& texture : scene.textures) {
+    bool has_alpha = false;
+    for (size_t i = 3; i < texture.rgba.size(); i += 4) has_alpha |= texture.rgba[i] != 255;
+    texture_has_alpha_.push_back(has_alpha);
+  }
+}
+
+bool SurfaceReader::HasAlpha(const Mesh& mesh) const {
+  const Material& material = scene_.materials[mesh.material];
+  if (material.alpha_mode == AlphaMode::kOpaque) return false;
+  const int texture = material.base_color_texture.texture;
+  return material.base_color.w < 1 || (texture >= 0 && texture_has_alpha_[texture]) ||
+         std::any_of(mesh.colors.begin(), mesh.colors.end(), [](const V4f& c) { return c.w < 1; });
+}
+
+bool SurfaceReader::Emits(const Mesh& mesh) const {
+  const Material& material = scene_.materials[mesh.material];
+  return !material.unlit && MaxComponent(material.emission) > 0;
+}
+
+float SurfaceReader::Alpha(uint32_t instance, uint32_t triangle, float u, float v) const {
+  const Mesh& mesh = *geometries_[instance].mesh;
+  const Material& material = scene_.materials[mesh.material];
+  const std::array<uint32_t, 3>& corner = mesh.triangles[triangle];
+  float alpha = material.base_color.w;
+  if (const TextureRef& ref = material.base_color_texture; ref.texture >= 0) {
+    alpha *= LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, u, v)).w;
+  }
+  if (!mesh.colors.empty()) alpha *= Interpolate(mesh.colors, corner, u, v).w;
+  if (material.alpha_mode == AlphaMode::kMask) return alpha >= material.alpha_cutoff ? 1.f : 0.f;
+  return material.alpha_mode == AlphaMode::kBlend ? Clamp01(alpha) : 1.f;
+}
+
+V3f SurfaceReader::Emission(uint32_t instance, uint32_t triangle, float u, float v) const {
+  const Mesh& mesh = *geometries_[instance].mesh;
+  const Material& material = scene_.materials[mesh.material];
+  V3f emission = material.emission;
+  if (const TextureRef& ref = material.emission_texture; ref.texture >= 0) {
+    const V4f texel = LookupSrgb(scene_.textures[ref.texture], ref,
+                                 TextureUv(mesh, ref, mesh.triangles[triangle], u, v));
+    emission *= V3f(texel.x, texel.y, texel.z);
+  }
+  return emission;
+}
+
+WorldTriangle SurfaceReader::TriangleOf(uint32_t instance, uint32_t triangle) const {
+  const InstanceGeometry& geometry = geometries_[instance];
+  const std::array<uint32_t, 3>& corner = geometry.mesh->triangles[triangle];
+  const std::vector<V3f>& positions = geometry.mesh->positions;
+  WorldTriangle world{positions[corner[0]], positions[corner[1]], positions[corner[2]]};
+  if (geometry.instanced) {
+    world = {geometry.transform.Point(world.a), geometry.transform.Point(world.b),
+             geometry.transform.Point(world.c)};
+    if (geometry.transform.mirrors) std::swap(world.b, world.c);
+  }
+  return world;
+}
+
+V3f SurfaceReader::ShadingNormal(const Mesh& mesh, const InstanceGeometry& geometry, const RayHit& hit,
+                                 const V3f& geometric_normal, const WorldTriangle& corners) const {
+  V3f normal = geometric_normal;
+  const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
+  if (!mesh.normals.empty()) {
+    V3f smooth = Interpolate(mesh.normals, corner, hit.u, hit.v);
+    smooth = geometry.instanced ? geometry.transform.Normal(smooth) : Unit(smooth);
+    if (smooth.dot(smooth) > 0.5f) normal = smooth;
+  }
+  const Material& material = scene_.materials[mesh.material];
+  if (material.normal_texture.texture < 0) return normal;
+  return MappedNormal(material, mesh, geometry, hit, normal, corners);
+}
+
+V3f SurfaceReader::MappedNormal(const Material& material, const Mesh& mesh,
+                                const InstanceGeometry& geometry, const RayHit& hit, const V3f& normal,
+                                const WorldTriangle& corners) const {
+  const TextureRef& ref = material.normal_texture;
+  const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
+  V3f tangent(0, 0, 0);
+  float handedness = 1;
+  if (!mesh.tangents.empty()) {
+    const V4f t = Interpolate(mesh.tangents, corner, hit.u, hit.v);
+    tangent = {t.x, t.y, t.z};
+    if (geometry.instanced) tangent = geometry.transform.Vector(tangent);
+    handedness = t.w < 0 ? -1.f : 1.f;
+    if (geometry.instanced && geometry.transform.mirrors) handedness = -handedness;
+  } else if (const std::vector<V2f>& uvs = mesh.uvs[ref.uv_set == 1 ? 1 : 0]; !uvs.empty()) {
+    // dp/du of the triangle. Corners come in the winding of the world; so must their uvs.
+    const bool turned = geometry.instanced && geometry.transform.mirrors;
+    const V2f uv_a = uvs[corner[0]], uv_b = uvs[corner[turned ? 2 : 1]], uv_c = uvs[corner[turned ? 1 : 2]];
+    const V2f ab = uv_b - uv_a, ac = uv_c - uv_a;
+    const float determinant = ab.x * ac.y - ab.y * ac.x;
+    // v points down in glTF's textures, the map's green channel up: handedness by the uv's winding.
+    tangent = ((corners.b - corners.a) * ac.y - (corners.c - corners.a) * ab.y) *
+              (determinant < 0 ? -1.f : 1.f);
+    handedness = determinant < 0 ? 1.f : -1.f;
+  }
+  tangent = Unit(tangent - normal * normal.dot(tangent));
+  if (tangent.dot(tangent) < 0.5f) return normal;
+  const V3f bitangent = normal.cross(tangent) * handedness;
+  const V4f texel = LookupLinear(scene_.textures[ref.texture], ref,
+                                 TextureUv(mesh, ref, corner, hit.u, hit.v));
+  const float x = (2 * texel.x - 1) * material.normal_scale;
+  const float y = (2 * texel.y - 1) * material.normal_scale;
+  const V3f mapped = Unit(tangent * x + bitangent * y + normal * (2 * texel.z - 1));
+  return mapped.dot(mapped) > 0.5f ? mapped : normal;
+}
+
+Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
+  const InstanceGeometry& geometry = geometries_[hit.instance];
+  const Mesh& mesh = *geometry.mesh;
+  const Material& material = scene_.materials[mesh.material];
+  const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
+
+  Surface s;
+  s.material = static_cast<uint32_t>(mesh.material);
+  s.unlit = material.unlit;
+
+  // Geometry. Barycentric interpolation is the most exact position (Waechter & Binder 2019).
+  const WorldTriangle t = TriangleOf(hit.instance, hit.triangle);
+  const bool turned = geometry.instanced && geometry.transform.mirrors;
+  const float ub = turned ? hit.v : hit.u, uc = turned ? hit.u : hit.v;
+  s.position = t.a * (1 - ub - uc) + t.b * ub + t.c * uc;
+  V3f ng = Unit((t.b - t.a).cross(t.c - t.a));
+  V3f ns = ShadingNormal(mesh, geometry, hit, ng, t);
+  s.front_face = ng.dot(wo) >= 0;
+  if (!s.front_face) {
+    ng = -ng;
+    ns = -ns;
+  }
+  s.geometric_normal = ng;
+  s.shading_normal = AboveSurface(ns, ng, wo);
+
+  // Material.
+  V3f base(material.base_color.x, material.base_color.y, material.base_color.z);
+  if (const TextureRef& ref = material.base_color_texture; ref.texture >= 0) {
+    const V4f c =
+        LookupSrgb(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v));
+    base *= V3f(c.x, c.y, c.z);
+  }
+  if (!mesh.colors.empty()) {
+    const V4f c = Interpolate(mesh.colors, corner, hit.u, hit.v);
+    base *= V3f(c.x, c.y, c.z);
+  }
+  s.emission = s.unlit ? base : Emission(hit.instance, hit.triangle, hit.u, hit.v);
+  BsdfParameters& p = s.bsdf;
+  p.base_color = {Clamp01(base.x), Clamp01(base.y), Clamp01(base.z)};
+  p.metallic = material.metallic;
+  p.roughness = material.roughness;
+  if (const TextureRef& ref = material.metallic_roughness_texture; ref.texture >= 0) {
+    const V4f mr =
+        LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v));
+    p.roughness *= mr.y;
+    p.metallic *= mr.z;
+  }
+  p.transmission = material.transmission;
+  if (const TextureRef& ref = material.transmission_texture;
+      ref.texture >= 0 && material.transmission > 0) {
+    p.transmission *=
+        LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v)).x;
+  }
+  p.ior = material.ior;
+  p.thin_walled = !(material.thickness > 0);
+  p.entering = s.front_face;
+  s.absorption = absorption_[mesh.material];
+  s.absorbs = !s.front_face && MaxComponent(s.absorption) > 0;
+  return s;
+}
+
+}  // namespace tessera

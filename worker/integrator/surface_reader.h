@@ -1,0 +1,73 @@
+// Turns a ray's hit into a surface: position, normals and what the material says there.
+// Also answers the questions that do not need all of it: alpha and emission of a point.
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include <Imath/ImathVec.h>
+
+#include "worker/integrator/bsdf.h"
+#include "worker/integrator/instance_geometry.h"
+#include "worker/scene/scene.h"
+
+namespace tessera {
+
+// Where a ray met a triangle. `u`, `v` are the barycentric weights of its second and third vertex.
+struct RayHit {
+  uint32_t instance;  // index into Scene::instances
+  uint32_t triangle;  // index into its mesh's triangles
+  float u, v;
+  float t;            // in units of the ray's direction
+};
+
+struct Surface {
+  V3f position;
+  V3f geometric_normal;  // unit, on the side of wo
+  V3f shading_normal;    // unit, on the side of wo; wo and its mirror image are above the surface
+  bool front_face;       // wo is on the side where the triangle turns counter-clockwise
+  uint32_t material;     // index into Scene::materials
+  V3f emission;          // radiance towards wo (unlit: the surface's colour)
+  bool unlit;
+  bool absorbs;          // wo is inside a medium with Beer-Lambert absorption
+  V3f absorption;        // 1/m, of the medium behind the surface's front
+  BsdfParameters bsdf;
+};
+
+// A triangle's corners in world space.
+struct WorldTriangle {
+  V3f a, b, c;
+};
+
+class SurfaceReader {
+ public:
+  // Borrows both for its lifetime.
+  SurfaceReader(const Scene& scene, std::span<const InstanceGeometry> geometries);
+
+  // `wo`: unit, towards where the ray came from.
+  Surface Read(const RayHit& hit, const V3f& wo) const;
+  // Coverage in [0, 1] of a point of a triangle; 0 or 1 for AlphaMode::kMask.
+  float Alpha(uint32_t instance, uint32_t triangle, float u, float v) const;
+  V3f Emission(uint32_t instance, uint32_t triangle, float u, float v) const;
+  WorldTriangle TriangleOf(uint32_t instance, uint32_t triangle) const;
+
+  // Whether any point of the material may have an alpha below 1 / may emit (unlit does not count).
+  bool HasAlpha(const Mesh& mesh) const;
+  bool Emits(const Mesh& mesh) const;
+  const InstanceGeometry& geometry(uint32_t instance) const { return geometries_[instance]; }
+  uint32_t num_instances() const { return static_cast<uint32_t>(geometries_.size()); }
+
+ private:
+  V3f ShadingNormal(const Mesh& mesh, const InstanceGeometry& geometry, const RayHit& hit,
+                    const V3f& geometric_normal, const WorldTriangle& corners) const;
+  V3f MappedNormal(const Material& material, const Mesh& mesh, const InstanceGeometry& geometry,
+                   const RayHit& hit, const V3f& normal, const WorldTriangle& corners) const;
+
+  const Scene& scene_;
+  std::span<const InstanceGeometry> geometries_;
+  std::vector<V3f> absorption_;            // by material, 1/m
+  std::vector<uint8_t> texture_has_alpha_; // by texture
+};
+
+}  // namespace tessera
