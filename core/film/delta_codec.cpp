@@ -182,8 +182,9 @@ bool ReadCodings(ByteReader* reader, PlaneCodings* codings) {
   return true;
 }
 
-// What no film's arithmetic survives or no renderer can have sent.
-absl::Status Validate(const TileStatistics& tile) {
+}  // namespace
+
+absl::Status ValidateStatistics(const TileStatistics& tile) {
   if (tile.non_finite < 0 || tile.non_finite > tile.num_pixels() * tile.range().size()) {
     return Malformed("more non-finite samples than samples");
   }
@@ -212,8 +213,6 @@ absl::Status Validate(const TileStatistics& tile) {
   }
   return absl::OkStatus();
 }
-
-}  // namespace
 
 EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
   const size_t area = static_cast<size_t>(tile.num_pixels());
@@ -330,7 +329,7 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
       StoreWords(words[half], half, plane, &tile);
     }
   }
-  if (absl::Status status = Validate(tile); !status.ok()) return status;
+  if (absl::Status status = ValidateStatistics(tile); !status.ok()) return status;
   return tile;
 }
 

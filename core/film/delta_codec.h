@@ -30,4 +30,8 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding);
 absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
                                            uint32_t encoding, std::string_view payload);
 
+// INVALID_ARGUMENT for what no film's arithmetic survives or no renderer can have sent; what
+// DecodeDelta asks last, and readers of film files too.
+absl::Status ValidateStatistics(const TileStatistics& tile);
+
 }  // namespace tessera
