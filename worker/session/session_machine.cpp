@@ -177,6 +177,7 @@ void SessionMachine::OnLease(v1::Lease& lease) {
   held.lease = std::move(lease);
   held.scene = job->second.scene;
   waiting_.push_back(id);
+  SettleLease(id, held);
 }
 
 void SessionMachine::ForgetJob(const std::string& name) {
@@ -315,7 +316,6 @@ void SessionMachine::On(const session_event::StopRequested&) {
 
 void SessionMachine::Advance() {
   if (phase_ == Phase::kServing) {
-    SettleLeases();
     StartRenders();
     FinishDrain();
   }

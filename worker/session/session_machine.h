@@ -174,12 +174,14 @@ class SessionMachine {
   void OnWelcome(const v1::Welcome& welcome);
   void OnJob(v1::JobSpec& spec);
   void OnLease(v1::Lease& lease);
+  // Builds the scene of a waiting lease; declines the lease when its scene failed. A lease that
+  // still waits then is looked at again when the running build ends.
+  void SettleLease(uint64_t id, HeldLease& held);
+  void SettleLeases();
   void ForgetJob(const std::string& name);
 
   // Starts whatever may start now.
   void Advance();
-  void SettleLeases();    // builds scenes; declines leases whose scene failed
-  void SettleLease(uint64_t id, HeldLease& held);
   void StartRenders();
   void WriteNext();
   void FinishDrain();

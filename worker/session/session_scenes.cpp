@@ -111,6 +111,7 @@ void SessionMachine::On(session_event::SceneBuilt& event) {
       break;
   }
   LimitScenes();
+  SettleLeases();
 }
 
 std::set<std::string> SessionMachine::ScenesInUse() const {
