@@ -1,6 +1,7 @@
 // A scene as the path tracer sees it: triangles, instances, materials, textures, lights, cameras.
 // Filled by the glTF loader, read by the integrator; knows neither glTF nor Embree.
 // World space: metres, y up, right-handed, recentred: add `origin` (double) for glTF's world space.
+// The front of a triangle is where its vertices run counter-clockwise.
 #pragma once
 
 #include <array>
@@ -72,8 +73,8 @@ struct Mesh {
   std::string name;
   int material = 0;  // index into Scene::materials
   std::vector<V3f> positions;
-  std::vector<V3f> normals;    // empty = flat
-  std::vector<V4f> tangents;   // empty = derived from uv; w = handedness
+  std::vector<V3f> normals;    // unit; empty = flat
+  std::vector<V4f> tangents;   // unit, w = +-1 handedness; empty = derived from uv
   std::array<std::vector<V2f>, 2> uvs;  // empty = (0, 0)
   std::vector<V4f> colors;     // linear, multiplies base_color; empty = white
   std::vector<std::array<uint32_t, 3>> triangles;  // indices are in range
@@ -81,7 +82,9 @@ struct Mesh {
 
 struct Instance {
   int mesh = 0;
-  Imath::M44f to_world;  // row vectors, as Imath: p' = p * M
+  // Row vectors, as Imath: p' = p * M. Affine, invertible, of positive determinant (the loader bakes
+  // flat transforms and mirrors meshes instead), so fronts stay fronts.
+  Imath::M44f to_world;
 };
 
 enum class LightType : uint8_t { kPoint, kSpot, kDirectional };
@@ -112,14 +115,14 @@ struct SceneCamera {
 };
 
 // Radiance from infinity. Map: latitude-longitude, linear RGB, row-major, top row = +y.
-// Orientation at rotation 0 as Blender's equirectangular environment after its glTF import:
-// the map's centre column is seen looking along... the loader's test fixes it (see sky.h).
+// sky.h maps directions to texels: at rotation 0 the centre column is seen looking along +x, the
+// columns to its right lie towards +z, as in Blender after its glTF import.
 struct EnvironmentLight {
   V3f uniform = V3f(0, 0, 0);  // used when the map is empty
   int width = 0;
   int height = 0;
   std::vector<V3f> texels;
-  float rotate_radians = 0;    // about +y
+  float rotate_radians = 0;    // about +y, counter-clockwise seen from above
 };
 
 struct Scene {
