@@ -1,7 +1,7 @@
 #include "core/film/film.h"
 
 #include <algorithm>
-#include <cstring>
+#include <iterator>
 #include <string_view>
 #include <utility>
 
@@ -21,6 +21,11 @@ SampleRange ParentOf(SampleRange node) {
   const int64_t size = node.size() * 2;
   const int64_t begin = node.begin / size * size;
   return {begin, begin + size};
+}
+SampleRange SiblingOf(SampleRange node) {
+  const SampleRange parent = ParentOf(node);
+  return node.begin == parent.begin ? SampleRange{node.end, parent.end}
+                                    : SampleRange{parent.begin, node.begin};
 }
 
 template <typename T>
@@ -64,7 +69,10 @@ absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
     samples_ -= inside_end->range().size() * inside_end->num_pixels();
     non_finite_ -= inside_end->non_finite;
   }
-  if (inside_end == at && nodes.size() >= kWaitingNodesMax) {
+  const SampleRange sibling = SiblingOf(range);
+  const bool adds_a_node = inside_end == at && (at == nodes.end() || at->range() != sibling) &&
+                           (at == nodes.begin() || std::prev(at)->range() != sibling);
+  if (adds_a_node && nodes.size() >= kWaitingNodesMax && range.begin != CommittedEnd(tile_index)) {
     return absl::ResourceExhaustedError(absl::StrCat(
         "tile ", tile_index, " has ", nodes.size(), " nodes that wait for a sibling; send the ones "
         "that follow sample ", CommittedEnd(tile_index), " first"));
@@ -78,15 +86,12 @@ absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
 
 void Film::JoinSiblings(int64_t index, std::vector<TileStatistics>* nodes) {
   for (;;) {
-    const SampleRange parent = ParentOf((*nodes)[index].range());
-    const bool is_left = (*nodes)[index].range().begin == parent.begin;
-    const int64_t left = is_left ? index : index - 1;
-    if (left < 0 || left + 1 >= static_cast<int64_t>(nodes->size())) return;
-    if ((*nodes)[left].range().begin != parent.begin ||
-        (*nodes)[left].range().end != (*nodes)[left + 1].range().begin ||
-        (*nodes)[left + 1].range().end != parent.end) {
-      return;
-    }
+    const SampleRange range = (*nodes)[index].range();
+    const SampleRange sibling = SiblingOf(range);
+    const int64_t left = sibling.begin < range.begin ? index - 1 : index;
+    const int64_t other = left == index ? index + 1 : left;
+    if (other < 0 || other >= static_cast<int64_t>(nodes->size())) return;
+    if ((*nodes)[other].range() != sibling) return;
     (*nodes)[left].Merge((*nodes)[left + 1]);
     nodes->erase(nodes->begin() + left + 1);
     index = left;

@@ -29,7 +29,8 @@ class Film {
   // same bits), and nothing is counted twice.
   // Errors: INVALID_ARGUMENT    window or range do not fit
   //         ALREADY_EXISTS      the range is covered: safe, drop it
-  //         RESOURCE_EXHAUSTED  kWaitingNodesMax nodes of the tile wait already
+  //         RESOURCE_EXHAUSTED  kWaitingNodesMax nodes of the tile wait already and this one
+  //                             would neither join one of them nor extend CommittedEnd
   absl::Status Accept(int64_t tile_index, TileStatistics node);
 
   // The tile's samples are complete on [0, CommittedEnd).

@@ -126,7 +126,7 @@ void RestorePlane(const PlaneLayout& layout, const PlaneCoding& coding,
                   std::span<const uint32_t> codes, std::span<const uint32_t> other_half,
                   std::span<uint32_t> words) {
   const auto word_of = [&](uint32_t key) { return WordOf(key << coding.shift, layout.is_float); };
-  if (coding.width_bytes == 0) {
+  if (coding.width_bytes == 0 && coding.predictor == PlanePredictor::kNone) {
     std::fill(words.begin(), words.end(), word_of(coding.base));
     return;
   }

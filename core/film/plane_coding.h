@@ -18,7 +18,7 @@ enum class PlanePredictor : uint8_t {
 // How a plane was coded; enough to restore it.
 struct PlaneCoding {
   uint8_t shift = 0;        // trailing bits that are zero in every key, [0, 31]
-  uint8_t width_bytes = 0;  // of a code, [0, 4]; 0 = every key is `base`
+  uint8_t width_bytes = 0;  // of a code, [0, 4]; 0 = all codes are zero (kNone: all keys `base`)
   PlanePredictor predictor = PlanePredictor::kNone;
   uint32_t base = 0;
 
@@ -36,7 +36,7 @@ struct PlaneLayout {
 PlaneCoding CodePlane(const PlaneLayout& layout, std::span<const uint32_t> words,
                       std::span<const uint32_t> other_half, bool predict,
                       std::span<uint32_t> codes);
-// The inverse, for any coding within the ranges above and any codes.
+// The inverse, for any coding within the ranges above and any codes of its width.
 void RestorePlane(const PlaneLayout& layout, const PlaneCoding& coding,
                   std::span<const uint32_t> codes, std::span<const uint32_t> other_half,
                   std::span<uint32_t> words);

@@ -1,0 +1,78 @@
+#include "core/film/pixel_folder.h"
+
+#include <gtest/gtest.h>
+
+#include "tests/core/film/sample_streams.h"
+
+namespace tessera {
+namespace {
+
+constexpr PixelRect kPixel{0, 0, 1, 1};
+
+TEST(PixelFolderTest, AFolderForgetsItsLastPixel) {
+  PixelFolder used;
+  for (const SampleRange range : {SampleRange{0, 16}, {5, 6}, {4, 5}, {8, 10}, {0, 4}}) {
+    TileStatistics from_used(kPixel, range), from_fresh(kPixel, range);
+    used.Begin(range);
+    PixelFolder once;
+    once.Begin(range);
+    for (int64_t i = range.begin; i < range.end; ++i) {
+      used.Add(SampleOf(1, 0, 0, i));
+      once.Add(SampleOf(1, 0, 0, i));
+    }
+    used.Store(0, 0, &from_used);
+    once.Store(0, 0, &from_fresh);
+    EXPECT_EQ(from_used, from_fresh) << range.begin;
+  }
+}
+
+TEST(PixelFolderTest, HalvesTakeEvenAndOddSamples) {
+  PixelFolder folder;
+  TileStatistics tile(kPixel, {4, 8});
+  folder.Begin(tile.range());
+  for (int64_t i = 4; i < 8; ++i) {
+    PixelSample sample;
+    sample.radiance[0] = static_cast<float>(i);
+    folder.Add(sample);
+  }
+  folder.Store(0, 0, &tile);
+  EXPECT_EQ(tile.Floats(0, kRadianceMean)[0], 5);
+  EXPECT_EQ(tile.Floats(1, kRadianceMean)[0], 6);
+  EXPECT_EQ(tile.Floats(0, kRadianceMsd)[0], 1);
+}
+
+TEST(PixelFolderTest, DepthAveragesOverHitsAndMissesVoteForNone) {
+  PixelFolder folder;
+  TileStatistics tile(kPixel, {0, 8});
+  folder.Begin(tile.range());
+  for (int i = 0; i < 8; ++i) {
+    PixelSample sample;
+    if (i == 2) {
+      sample.depth = 10;
+      sample.albedo[0] = 1;
+      sample.material_id = 9;
+    }
+    folder.Add(sample);
+  }
+  folder.Store(0, 0, &tile);
+  EXPECT_EQ(tile.Counts(0, kHits)[0], 1u);
+  EXPECT_EQ(tile.Counts(1, kHits)[0], 0u);
+  EXPECT_EQ(tile.Floats(0, kDepthMean)[0], 10);
+  EXPECT_EQ(tile.Floats(0, kDepthMsd)[0], 0);
+  EXPECT_EQ(tile.Floats(1, kDepthMean)[0], 0);
+  EXPECT_EQ(tile.Floats(0, kAlbedoMean)[0], 0.25f);
+  EXPECT_EQ(tile.Counts(0, kMaterialId)[0], 0u);
+  EXPECT_EQ(tile.Counts(0, kIdVotes)[0], 2u);
+}
+
+TEST(PixelFolderDeathTest, RefusesWhatIsNoNodeAndWhatIsNotComplete) {
+  PixelFolder folder;
+  EXPECT_DEATH(folder.Begin({1, 3}), "broken invariant");
+  TileStatistics tile(kPixel, {0, 4});
+  folder.Begin(tile.range());
+  folder.Add(PixelSample{});
+  EXPECT_DEATH(folder.Store(0, 0, &tile), "broken invariant");
+}
+
+}  // namespace
+}  // namespace tessera
