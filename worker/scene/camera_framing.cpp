@@ -1,10 +1,10 @@
 #include "worker/scene/camera_framing.h"
 
+#include <Imath/ImathBox.h>
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-
-#include <Imath/ImathBox.h>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -76,8 +76,8 @@ absl::StatusOr<SceneCamera> LookAt(const CameraChoice& choice, const V3d& origin
         "camera: up is zero or parallel to the view direction; choose another, such as 0,0,1");
   }
   if (!(choice.fov_y_degrees > 0 && choice.fov_y_degrees < 180)) {
-    return absl::InvalidArgumentError(absl::StrCat("camera: fov-y ", choice.fov_y_degrees,
-                                                   " must be between 0 and 180 degrees"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("camera: fov-y ", choice.fov_y_degrees, " must be between 0 and 180 degrees"));
   }
   SceneCamera camera;
   camera.name = "look-at";
@@ -96,14 +96,13 @@ absl::StatusOr<SceneCamera> FindCamera(const std::string& name,
   for (const SceneCamera& camera : cameras) {
     if (static_cast<int>(names.size()) < kListedNamesMax) names.push_back(camera.name);
   }
-  return absl::InvalidArgumentError(absl::StrCat(
-      "camera: \"", name, "\" does not exist; ",
-      names.empty() ? "the scene has no cameras: use look-from and look-at"
-                    : absl::StrCat("the scene has: ", absl::StrJoin(names, ", "))));
+  return absl::InvalidArgumentError(
+      absl::StrCat("camera: \"", name, "\" does not exist; ",
+                   names.empty() ? "the scene has no cameras: use look-from and look-at"
+                                 : absl::StrCat("the scene has: ", absl::StrJoin(names, ", "))));
 }
 
-absl::Status SetLens(const CameraChoice& choice, const Imath::Box3f& bounds,
-                     SceneCamera* camera) {
+absl::Status SetLens(const CameraChoice& choice, const Imath::Box3f& bounds, SceneCamera* camera) {
   if (!(choice.lens_radius >= 0 && std::isfinite(choice.lens_radius))) {
     return absl::InvalidArgumentError("camera: lens-radius must be zero or more metres");
   }

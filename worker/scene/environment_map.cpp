@@ -64,12 +64,11 @@ absl::Status ChooseEnvironment(const EnvironmentChoice& choice, const AssetReade
   }
   EnvironmentLight environment;
   // Whole turns are taken off in double, so that large angles keep their meaning.
-  environment.rotate_radians = static_cast<float>(std::remainder(choice.rotate_degrees, 360.0) *
-                                                  (std::numbers::pi / 180));
+  environment.rotate_radians =
+      static_cast<float>(std::remainder(choice.rotate_degrees, 360.0) * (std::numbers::pi / 180));
   switch (choice.kind) {
     case EnvironmentChoice::Kind::kMap:
-      TESSERA_RETURN_IF_ERROR(
-          ReadMap(choice.map_name, read_asset, &environment, &scene->notes));
+      TESSERA_RETURN_IF_ERROR(ReadMap(choice.map_name, read_asset, &environment, &scene->notes));
       scene->environment = std::move(environment);
       break;
     case EnvironmentChoice::Kind::kSky:

@@ -45,10 +45,9 @@ absl::StatusOr<GltfContainer> SplitGlb(std::string_view bytes) {
     const uint32_t type = ReadU32(bytes, offset + 4);
     offset += kChunkHeaderBytes;
     if (chunk_bytes > bytes.size() - offset) {
-      return absl::InvalidArgumentError(absl::StrCat("GLB chunk ", chunk_index, " promises ",
-                                                     chunk_bytes, " bytes, only ",
-                                                     bytes.size() - offset,
-                                                     " follow; copy the file again"));
+      return absl::InvalidArgumentError(
+          absl::StrCat("GLB chunk ", chunk_index, " promises ", chunk_bytes, " bytes, only ",
+                       bytes.size() - offset, " follow; copy the file again"));
     }
     const std::string_view data = bytes.substr(offset, chunk_bytes);
     if (chunk_index == 0 && type != kJsonChunk) {

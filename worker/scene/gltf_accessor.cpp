@@ -146,8 +146,8 @@ uint32_t LoadIndex(const GltfTable& table, size_t i) {
 }
 
 void ReadSparse(const GltfDocument& document, const GltfObject& sparse, GltfAccessor* accessor) {
-  accessor->sparse_count = static_cast<size_t>(
-      sparse.Integer("count", 0, 0, static_cast<int64_t>(accessor->count)));
+  accessor->sparse_count =
+      static_cast<size_t>(sparse.Integer("count", 0, 0, static_cast<int64_t>(accessor->count)));
   const GltfObject indices = sparse.Object("indices");
   const GltfObject values = sparse.Object("values");
   if (!indices.Has("bufferView")) sparse.Fail("indices.bufferView", "is missing");
@@ -155,10 +155,9 @@ void ReadSparse(const GltfDocument& document, const GltfObject& sparse, GltfAcce
   const ComponentType index_type = ReadComponentType(indices);
   if (!IsIndexType(index_type)) indices.Fail("componentType", "must be an unsigned integer");
   if (!sparse.status().ok()) return;
-  accessor->sparse_indices =
-      LocateTable(document, indices, index_type, 1, accessor->sparse_count);
-  accessor->sparse_values = LocateTable(document, values, accessor->component,
-                                        accessor->components, accessor->sparse_count);
+  accessor->sparse_indices = LocateTable(document, indices, index_type, 1, accessor->sparse_count);
+  accessor->sparse_values = LocateTable(document, values, accessor->component, accessor->components,
+                                        accessor->sparse_count);
 }
 
 }  // namespace
@@ -172,8 +171,8 @@ absl::StatusOr<GltfAccessor> ReadAccessor(const GltfDocument& document, int inde
   accessor.count = static_cast<size_t>(object.Integer("count", 0, 0, kCountMax));
   accessor.normalized = object.Flag("normalized", false);
   TESSERA_RETURN_IF_ERROR(object.status());
-  accessor.values = LocateTable(document, object, accessor.component, accessor.components,
-                                accessor.count);
+  accessor.values =
+      LocateTable(document, object, accessor.component, accessor.components, accessor.count);
   // Zeros cost nothing in the file: their number must be in proportion to it.
   if (!object.Has("bufferView") && accessor.count > document.payload_bytes() + 65536) {
     object.Fail("count", absl::StrCat(accessor.count, " elements without data are not credible"));
@@ -212,8 +211,8 @@ absl::Status ReadFloats(const GltfAccessor& accessor, int width, float* out) {
 
 absl::StatusOr<std::vector<uint32_t>> ReadIndices(const GltfAccessor& accessor) {
   if (accessor.components != 1 || !IsIndexType(accessor.component)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        accessor.path, ": indices must be unsigned SCALARs; export the file again"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(accessor.path, ": indices must be unsigned SCALARs; export the file again"));
   }
   std::vector<uint32_t> indices(accessor.count);
   if (!accessor.values.bytes.empty()) {

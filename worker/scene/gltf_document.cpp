@@ -1,9 +1,9 @@
 #include "worker/scene/gltf_document.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <utility>
-
-#include <tbb/parallel_for.h>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
@@ -34,8 +34,8 @@ absl::Status CheckNesting(std::string_view json) {
       in_text = true;
     } else if (c == '{' || c == '[') {
       if (++depth > kNestingMax) {
-        return absl::InvalidArgumentError(absl::StrCat(
-            "JSON is nested deeper than ", kNestingMax, " levels; this is not a glTF scene"));
+        return absl::InvalidArgumentError(absl::StrCat("JSON is nested deeper than ", kNestingMax,
+                                                       " levels; this is not a glTF scene"));
       }
     } else if (c == '}' || c == ']') {
       --depth;
@@ -62,8 +62,8 @@ std::string PercentDecode(std::string_view uri) {
   std::string out;
   out.reserve(uri.size());
   for (size_t i = 0; i < uri.size(); ++i) {
-    const bool is_escape = uri[i] == '%' && i + 2 < uri.size() && absl::ascii_isxdigit(uri[i + 1]) &&
-                           absl::ascii_isxdigit(uri[i + 2]);
+    const bool is_escape = uri[i] == '%' && i + 2 < uri.size() &&
+                           absl::ascii_isxdigit(uri[i + 1]) && absl::ascii_isxdigit(uri[i + 2]);
     if (is_escape) {
       out += absl::HexStringToBytes(Absl(uri.substr(i + 1, 2)));
       i += 2;
@@ -91,11 +91,12 @@ absl::StatusOr<std::string> DecodeDataUri(std::string_view uri) {
 }  // namespace
 
 const std::vector<std::string>& SupportedExtensions() {
-  static const auto& names = *new std::vector<std::string>{
-      "EXT_meshopt_compression",         "EXT_texture_webp",     "KHR_lights_punctual",
-      "KHR_materials_emissive_strength", "KHR_materials_ior",    "KHR_materials_transmission",
-      "KHR_materials_unlit",             "KHR_materials_volume", "KHR_mesh_quantization",
-      "KHR_texture_transform"};
+  static const auto& names =
+      *new std::vector<std::string>{"EXT_meshopt_compression", "EXT_texture_webp",
+                                    "KHR_lights_punctual",     "KHR_materials_emissive_strength",
+                                    "KHR_materials_ior",       "KHR_materials_transmission",
+                                    "KHR_materials_unlit",     "KHR_materials_volume",
+                                    "KHR_mesh_quantization",   "KHR_texture_transform"};
   return names;
 }
 
@@ -163,9 +164,9 @@ absl::Status GltfDocument::CheckExtensions() {
   };
   const std::vector<std::string> refused = keep_unsupported(extensions_required());
   if (!refused.empty()) {
-    return absl::InvalidArgumentError(absl::StrCat("extensionsRequired: ",
-                                                   absl::StrJoin(refused, ", "),
-                                                   " not supported; export the scene without it"));
+    return absl::InvalidArgumentError(
+        absl::StrCat("extensionsRequired: ", absl::StrJoin(refused, ", "),
+                     " not supported; export the scene without it"));
   }
   for (const std::string& name : keep_unsupported(extensions_used())) {
     AddNote(absl::StrCat("extension ", name, " is not supported: its data is ignored"));
@@ -226,9 +227,9 @@ absl::StatusOr<std::string_view> GltfDocument::BufferRange(const GltfObject& pla
   TESSERA_RETURN_IF_ERROR(LoadBuffer(buffer));
   const std::string_view bytes = *buffers_[static_cast<size_t>(buffer)];
   if (offset > bytes.size() || length > bytes.size() - offset) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(place.path(), ": bytes [", offset, ", ", offset + length,
-                     ") lie outside buffers[", buffer, "] of ", bytes.size(), " bytes"));
+    return absl::InvalidArgumentError(absl::StrCat(place.path(), ": bytes [", offset, ", ",
+                                                   offset + length, ") lie outside buffers[",
+                                                   buffer, "] of ", bytes.size(), " bytes"));
   }
   return bytes.substr(offset, length);
 }

@@ -1,13 +1,13 @@
 #include "worker/scene/gltf_geometry.h"
 
+#include <Imath/ImathBox.h>
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <cmath>
 #include <map>
 #include <tuple>
 #include <utility>
-
-#include <Imath/ImathBox.h>
-#include <tbb/parallel_for.h>
 
 #include "absl/strings/str_cat.h"
 #include "worker/scene/gltf_materials.h"
@@ -21,7 +21,8 @@ namespace {
 
 constexpr int64_t kInstancesMax = int64_t{1} << 24;
 constexpr int64_t kTrianglesMax = int64_t{1} << 31;
-constexpr int64_t kTriangleBytes = 12 + 150;  // indices; BVH, measured with Embree 3.13
+constexpr int64_t kTriangleBvhBytes = 150;  // Embree 3.13, an estimate with room to spare
+constexpr int64_t kTriangleBytes = 12 + kTriangleBvhBytes;
 constexpr int64_t kVertexBytes = 12 + 12 + 8;
 constexpr int64_t kInstanceBytes = 512;  // transform, Embree's instance and its BVH node
 
@@ -37,7 +38,8 @@ struct PrimitiveOutline {
 };
 
 double Determinant(const M44d& m) {
-  const V3d x(m[0][0], m[0][1], m[0][2]), y(m[1][0], m[1][1], m[1][2]), z(m[2][0], m[2][1], m[2][2]);
+  const V3d x(m[0][0], m[0][1], m[0][2]), y(m[1][0], m[1][1], m[1][2]),
+      z(m[2][0], m[2][1], m[2][2]);
   return x.dot(y.cross(z));
 }
 
@@ -64,8 +66,8 @@ class GeometryPlanner {
 
   GltfDocument* document_;
   const std::vector<GltfNode>& nodes_;
-  std::map<int, std::vector<PrimitiveOutline>> outlines_;               // by mesh
-  std::map<std::tuple<int, int, bool, int>, int> planned_;              // index into plan_.meshes
+  std::map<int, std::vector<PrimitiveOutline>> outlines_;   // by mesh
+  std::map<std::tuple<int, int, bool, int>, int> planned_;  // index into plan_.meshes
   GeometryPlan plan_;
   int64_t num_skipped_ = 0;  // points and lines
 };
@@ -253,6 +255,14 @@ int64_t GeometryPlan::EstimateBytes() const {
   int64_t bytes = static_cast<int64_t>(instances.size()) * kInstanceBytes;
   for (const PlannedMesh& mesh : meshes) {
     bytes += mesh.num_triangles * kTriangleBytes + mesh.num_vertices * kVertexBytes;
+  }
+  return bytes;
+}
+
+int64_t EstimateAccelerationBytes(const Scene& scene) {
+  int64_t bytes = static_cast<int64_t>(scene.instances.size()) * kInstanceBytes;
+  for (const Mesh& mesh : scene.meshes) {
+    bytes += static_cast<int64_t>(mesh.triangles.size()) * kTriangleBvhBytes;
   }
   return bytes;
 }

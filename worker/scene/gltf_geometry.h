@@ -17,8 +17,8 @@ struct PlannedMesh {
   int primitive = 0;  // of that mesh
   int material = 0;   // of the material table
   bool is_mirrored = false;
-  int posed_by = -1;  // node whose skin, morph weights or flat transform shape the vertices in world
-                      // space; -1 = shared by all nodes
+  int posed_by = -1;  // node whose skin, morph weights or flat transform shape the vertices in
+                      // world space; -1 = shared by all nodes
   int64_t num_triangles = 0;  // as the accessors claim
   int64_t num_vertices = 0;
 };
@@ -35,6 +35,9 @@ struct GeometryPlan {
   // Triangles of all meshes, each once, with ray tracing structures, and of the instances.
   int64_t EstimateBytes() const;
 };
+
+// What Embree will need for the scene, roughly.
+int64_t EstimateAccelerationBytes(const Scene& scene);
 
 // Reads counts only; no buffer is touched. Adds notes for what cannot be shown.
 // Errors: INVALID_ARGUMENT.

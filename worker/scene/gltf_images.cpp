@@ -39,8 +39,9 @@ absl::StatusOr<LocatedImages> LocateImages(const GltfDocument& document,
   return images;
 }
 
-absl::Status DecodeTextures(const GltfDocument& document, const std::vector<TextureSource>& textures,
-                            const LocatedImages& images, Scene* scene) {
+absl::Status DecodeTextures(const GltfDocument& document,
+                            const std::vector<TextureSource>& textures, const LocatedImages& images,
+                            Scene* scene) {
   scene->textures.resize(textures.size());
   std::vector<absl::Status> errors(textures.size());
   tbb::parallel_for(size_t{0}, textures.size(), [&](size_t i) {

@@ -33,7 +33,8 @@ absl::StatusOr<LocatedImages> LocateImages(const GltfDocument& document,
 
 // Decodes into scene->textures, one for each of `textures`. Runs on all threads.
 // Errors: INVALID_ARGUMENT naming the image.
-absl::Status DecodeTextures(const GltfDocument& document, const std::vector<TextureSource>& textures,
-                            const LocatedImages& images, Scene* scene);
+absl::Status DecodeTextures(const GltfDocument& document,
+                            const std::vector<TextureSource>& textures, const LocatedImages& images,
+                            Scene* scene);
 
 }  // namespace tessera

@@ -25,15 +25,16 @@ PunctualLight ReadLight(const GltfObject& object) {
   const auto color = object.Numbers<3>("color", {1, 1, 1});
   const double intensity = std::clamp(object.Number("intensity", 1), 0.0, kIntensityMax);
   for (int c = 0; c < 3; ++c) {
-    light.intensity[c] =
-        static_cast<float>(std::clamp(color[static_cast<size_t>(c)], 0.0, kIntensityMax) * intensity);
+    light.intensity[c] = static_cast<float>(
+        std::clamp(color[static_cast<size_t>(c)], 0.0, kIntensityMax) * intensity);
   }
   light.range = static_cast<float>(std::max(object.Number("range", 0), 0.0));
 
   // The inner cone lies inside the outer one.
   const GltfObject spot = object.Object("spot");
   const double half_pi = std::numbers::pi / 2;
-  const double outer = std::clamp(spot.Number("outerConeAngle", std::numbers::pi / 4), 0.0, half_pi);
+  const double outer =
+      std::clamp(spot.Number("outerConeAngle", std::numbers::pi / 4), 0.0, half_pi);
   const double inner = std::clamp(spot.Number("innerConeAngle", 0), 0.0, outer);
   light.inner_cone_cos = static_cast<float>(std::cos(inner));
   light.outer_cone_cos = static_cast<float>(std::cos(outer));

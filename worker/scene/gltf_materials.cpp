@@ -98,8 +98,8 @@ TextureRef MaterialReader::ReadTexture(const GltfObject& owner, std::string_view
     uv_set = transform.Integer("texCoord", uv_set, 0, 1 << 20);
   }
   if (uv_set > 1) {
-    document_->AddNote(absl::StrCat(info.path(), ".texCoord: set ", uv_set,
-                                    " is not supported: set 0 is used"));
+    document_->AddNote(
+        absl::StrCat(info.path(), ".texCoord: set ", uv_set, " is not supported: set 0 is used"));
     uv_set = 0;
   }
   ref.uv_set = static_cast<int>(uv_set);
@@ -134,7 +134,8 @@ Material MaterialReader::Read(const GltfObject& object, bool is_used) {
   const GltfObject pbr = object.Object("pbrMetallicRoughness");
   const auto color = pbr.Numbers<4>("baseColorFactor", {1, 1, 1, 1});
   for (int c = 0; c < 4; ++c) {
-    material.base_color[c] = static_cast<float>(std::clamp(color[static_cast<size_t>(c)], 0.0, 1.0));
+    material.base_color[c] =
+        static_cast<float>(std::clamp(color[static_cast<size_t>(c)], 0.0, 1.0));
   }
   material.base_color_texture = ReadTexture(pbr, "baseColorTexture");
   material.metallic = Factor(pbr, "metallicFactor", 1);

@@ -24,9 +24,9 @@ struct MaterialTable {
   std::vector<TextureSource> textures;  // what TextureRef::texture indexes
 };
 
-// `is_used[i]`: whether material i is on any triangle, the last entry standing for triangles without
-// a material; textures of materials that are not used are left out.
-// Errors: INVALID_ARGUMENT. Adds notes for what is ignored.
+// `is_used[i]`: whether material i is on any triangle, the last entry standing for triangles
+// without a material; textures of materials that are not used are left out. Errors:
+// INVALID_ARGUMENT. Adds notes for what is ignored.
 absl::StatusOr<MaterialTable> ReadMaterials(GltfDocument* document,
                                             const std::vector<bool>& is_used);
 

@@ -17,6 +17,8 @@ M44d LocalTransform(const GltfObject& node) {
     const std::array<double, 16> m = node.Numbers<16>("matrix", {});
     M44d out;
     for (size_t i = 0; i < 16; ++i) out[static_cast<int>(i / 4)][static_cast<int>(i % 4)] = m[i];
+    // Affine, whatever rounding the exporter left in the last row.
+    for (int row = 0; row < 4; ++row) out[row][3] = row == 3 ? 1 : 0;
     return out;
   }
   const auto t = node.Numbers<3>("translation", {0, 0, 0});
@@ -101,8 +103,8 @@ absl::Status MarkScene(const GltfDocument& document, const Hierarchy& hierarchy,
 absl::StatusOr<std::vector<GltfNode>> ReadNodes(const GltfDocument& document) {
   const int num_nodes = document.Count("nodes");
   TESSERA_ASSIGN_OR_RETURN(const Hierarchy hierarchy, ReadHierarchy(document, num_nodes));
-  const int num_lights = static_cast<int>(
-      document.Root().Extension("KHR_lights_punctual").Objects("lights").size());
+  const int num_lights =
+      static_cast<int>(document.Root().Extension("KHR_lights_punctual").Objects("lights").size());
 
   std::vector<GltfNode> nodes(static_cast<size_t>(num_nodes));
   std::vector<int> pending;

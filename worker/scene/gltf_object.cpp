@@ -55,8 +55,7 @@ const nlohmann::json* GltfObject::Find(std::string_view field) const {
 void GltfObject::Fail(std::string_view field, std::string_view problem) const {
   if (!status_->ok()) return;
   const char* dot = path_.empty() || field.empty() ? "" : ".";
-  *status_ = absl::InvalidArgumentError(
-      absl::StrCat(path_, dot, Absl(field), ": ", Absl(problem)));
+  *status_ = absl::InvalidArgumentError(absl::StrCat(path_, dot, Absl(field), ": ", Absl(problem)));
 }
 
 double GltfObject::Number(std::string_view field, double fallback) const {

@@ -5,11 +5,10 @@
 
 #include <array>
 #include <cstdint>
+#include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
 #include <vector>
-
-#include <nlohmann/json.hpp>
 
 #include "absl/status/status.h"
 
@@ -29,7 +28,8 @@ class GltfObject {
   double Number(std::string_view field, double fallback) const;
   double Number(std::string_view field, double fallback, double min, double max) const;
   template <size_t N>
-  std::array<double, N> Numbers(std::string_view field, const std::array<double, N>& fallback) const;
+  std::array<double, N> Numbers(std::string_view field,
+                                const std::array<double, N>& fallback) const;
   std::vector<double> NumberList(std::string_view field) const;
   bool Flag(std::string_view field, bool fallback) const;
   std::string Text(std::string_view field, std::string_view fallback = "") const;

@@ -52,8 +52,7 @@ absl::Status ReadSkinSets(const GltfDocument& document, const GltfObject& attrib
   for (int set = 0; set < kSkinSetsMax; ++set) {
     const size_t count = out->position.count;
     TESSERA_ASSIGN_OR_RETURN(
-        auto joints,
-        ReadOptional(document, attributes, absl::StrCat("JOINTS_", set), 4, 4, count));
+        auto joints, ReadOptional(document, attributes, absl::StrCat("JOINTS_", set), 4, 4, count));
     TESSERA_ASSIGN_OR_RETURN(
         auto weights,
         ReadOptional(document, attributes, absl::StrCat("WEIGHTS_", set), 4, 4, count));
@@ -117,9 +116,9 @@ absl::Status ReadTriangles(const PrimitiveAccessors& primitive, Mesh* mesh) {
     num_indices = indices.size();
     for (size_t i = 0; i < num_indices; ++i) {
       if (indices[i] < num_vertices) continue;
-      return absl::InvalidArgumentError(
-          absl::StrCat(primitive.path, ".indices: entry ", i, " is vertex ", indices[i], " of only ",
-                       num_vertices, "; export the file again"));
+      return absl::InvalidArgumentError(absl::StrCat(primitive.path, ".indices: entry ", i,
+                                                     " is vertex ", indices[i], " of only ",
+                                                     num_vertices, "; export the file again"));
     }
   }
   const int64_t count = TriangleCount(primitive.mode, static_cast<int64_t>(num_indices));

@@ -42,8 +42,8 @@ absl::StatusOr<PrimitiveAccessors> ReadPrimitiveAccessors(const GltfDocument& do
                                                           const AttributeNeeds& needs);
 
 // Vertices (indices into them may be anything) and triangles (indices in range), with
-// `morph_weights` applied. Writes positions, normals, tangents, uvs, colors and triangles of `mesh`.
-// Errors: INVALID_ARGUMENT. Threads: any number at once.
+// `morph_weights` applied. Writes positions, normals, tangents, uvs, colors and triangles of
+// `mesh`. Errors: INVALID_ARGUMENT. Threads: any number at once.
 absl::Status ReadPrimitive(const PrimitiveAccessors& primitive,
                            const std::vector<double>& morph_weights, Mesh* mesh);
 

@@ -1,9 +1,9 @@
 #include "worker/scene/image_file.h"
 
-#include <memory>
-
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
+
+#include <memory>
 
 #include "absl/strings/str_cat.h"
 #include "worker/scene/status_macros.h"
@@ -37,21 +37,21 @@ absl::Status Damaged(OIIO::ImageInput* input) {
 absl::StatusOr<OpenImage> Open(std::string_view file, const char* format) {
   OpenImage image;
   // The proxy only reads; its constructor lacks const.
-  image.bytes = std::make_unique<OIIO::Filesystem::IOMemReader>(
-      const_cast<char*>(file.data()), file.size());
+  image.bytes =
+      std::make_unique<OIIO::Filesystem::IOMemReader>(const_cast<char*>(file.data()), file.size());
   image.input = OIIO::ImageInput::create(format);
   if (!image.input || !image.input->set_ioproxy(image.bytes.get())) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "this OpenImageIO cannot read ", format, " from memory; convert the image to PNG"));
+    return absl::InvalidArgumentError(absl::StrCat("this OpenImageIO cannot read ", format,
+                                                   " from memory; convert the image to PNG"));
   }
   OIIO::ImageSpec wish, spec;
   wish.attribute("oiio:UnassociatedAlpha", 1);
   if (!image.input->open(format, spec, wish)) return Damaged(image.input.get());
   if (spec.width < 1 || spec.height < 1 || spec.width > kImageSidePxMax ||
       spec.height > kImageSidePxMax || spec.nchannels < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("an image of ", spec.width, " x ", spec.height, " px is not supported; 1 to ",
-                     kImageSidePxMax, " px a side are"));
+    return absl::InvalidArgumentError(absl::StrCat("an image of ", spec.width, " x ", spec.height,
+                                                   " px is not supported; 1 to ", kImageSidePxMax,
+                                                   " px a side are"));
   }
   return image;
 }

@@ -1,12 +1,12 @@
 // Pictures in memory (PNG, JPEG, WebP; HDR, EXR for environments) to pixels, by OpenImageIO.
 #pragma once
 
+#include <Imath/ImathVec.h>
+
 #include <cstdint>
 #include <string>
 #include <string_view>
 #include <vector>
-
-#include <Imath/ImathVec.h>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -25,11 +25,11 @@ struct ImageSize {
 // the message. Threads: any number at once, here and below.
 absl::StatusOr<ImageSize> ReadImageSize(std::string_view file);
 
-// 8-bit RGBA as stored (not decoded from sRGB, alpha not multiplied), top row first: width x height.
+// 8-bit RGBA as stored (not decoded from sRGB, alpha not multiplied), top row first: width x
+// height.
 absl::Status DecodeRgba8(std::string_view file, std::vector<uint8_t>* rgba);
 
 // Linear RGB of a Radiance HDR or OpenEXR file, top row first.
-absl::StatusOr<ImageSize> DecodeRadiance(std::string_view file,
-                                         std::vector<Imath::V3f>* texels);
+absl::StatusOr<ImageSize> DecodeRadiance(std::string_view file, std::vector<Imath::V3f>* texels);
 
 }  // namespace tessera

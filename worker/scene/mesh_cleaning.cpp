@@ -122,10 +122,9 @@ CleaningReport CleanMesh(Mesh* mesh) {
   DropTriangles(mesh, &report);
   DropUnusedVertices(mesh);
   RepairNormals(mesh, &report);
-  const bool tangents_are_good =
-      std::all_of(mesh->tangents.begin(), mesh->tangents.end(), [](const V4f& t) {
-        return IsDirection(V3f(t.x, t.y, t.z)) && std::isfinite(t.w);
-      });
+  const bool tangents_are_good = std::all_of(
+      mesh->tangents.begin(), mesh->tangents.end(),
+      [](const V4f& t) { return IsDirection(V3f(t.x, t.y, t.z)) && std::isfinite(t.w); });
   if (!tangents_are_good || mesh->normals.empty()) mesh->tangents.clear();
   for (V4f& t : mesh->tangents) {
     const float scale = 1 / V3f(t.x, t.y, t.z).length();

@@ -43,9 +43,10 @@ void CheckShape(const GltfObject& extension, const MeshoptView& view) {
   if (view.mode != MeshoptView::Mode::kAttributes) {
     extension.Fail("filter", "only attributes can be filtered");
   }
-  const bool fits = view.filter == MeshoptView::Filter::kExponential ||
-                    (view.filter == MeshoptView::Filter::kQuaternion && stride == 8) ||
-                    (view.filter == MeshoptView::Filter::kOctahedral && (stride == 4 || stride == 8));
+  const bool fits =
+      view.filter == MeshoptView::Filter::kExponential ||
+      (view.filter == MeshoptView::Filter::kQuaternion && stride == 8) ||
+      (view.filter == MeshoptView::Filter::kOctahedral && (stride == 4 || stride == 8));
   if (!fits) extension.Fail("byteStride", "does not fit the filter");
 }
 
@@ -99,10 +100,12 @@ absl::Status DecodeMeshopt(const MeshoptView& view, std::string_view compressed,
   int failure = 0;
   switch (view.mode) {
     case MeshoptView::Mode::kAttributes:
-      failure = meshopt_decodeVertexBuffer(out->data(), count, view.stride, bytes, compressed.size());
+      failure =
+          meshopt_decodeVertexBuffer(out->data(), count, view.stride, bytes, compressed.size());
       break;
     case MeshoptView::Mode::kTriangles:
-      failure = meshopt_decodeIndexBuffer(out->data(), count, view.stride, bytes, compressed.size());
+      failure =
+          meshopt_decodeIndexBuffer(out->data(), count, view.stride, bytes, compressed.size());
       break;
     case MeshoptView::Mode::kIndices:
       failure =

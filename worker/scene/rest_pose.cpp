@@ -1,9 +1,9 @@
 #include "worker/scene/rest_pose.h"
 
+#include <Imath/ImathBox.h>
+
 #include <algorithm>
 #include <cmath>
-
-#include <Imath/ImathBox.h>
 
 #include "absl/strings/str_cat.h"
 #include "worker/scene/mesh_cleaning.h"
@@ -56,7 +56,8 @@ absl::StatusOr<std::vector<M44d>> BlendJoints(const PrimitiveAccessors& primitiv
 
 // Normals transform by the cofactors of the linear part, which also exist for flat transforms.
 V3f TransformNormal(const V3f& n, const M44d& m) {
-  const V3d x(m[0][0], m[0][1], m[0][2]), y(m[1][0], m[1][1], m[1][2]), z(m[2][0], m[2][1], m[2][2]);
+  const V3d x(m[0][0], m[0][1], m[0][2]), y(m[1][0], m[1][1], m[1][2]),
+      z(m[2][0], m[2][1], m[2][2]);
   const V3d out = y.cross(z) * n.x + z.cross(x) * n.y + x.cross(y) * n.z;
   const double mirror = x.dot(y.cross(z)) < 0 ? -1 : 1;
   return V3f(out.normalized() * mirror);

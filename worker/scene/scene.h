@@ -4,14 +4,14 @@
 // The front of a triangle is where its vertices run counter-clockwise.
 #pragma once
 
+#include <Imath/ImathMatrix.h>
+#include <Imath/ImathVec.h>
+
 #include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
-
-#include <Imath/ImathMatrix.h>
-#include <Imath/ImathVec.h>
 
 namespace tessera {
 
@@ -31,7 +31,7 @@ struct Texture {
   std::vector<uint8_t> rgba;  // row-major, top row first
   TextureWrap wrap_s = TextureWrap::kRepeat;
   TextureWrap wrap_t = TextureWrap::kRepeat;
-  bool nearest = false;       // magnification filter
+  bool nearest = false;  // magnification filter
 };
 
 struct TextureRef {
@@ -59,13 +59,13 @@ struct Material {
   float alpha_cutoff = 0.5f;
   bool double_sided = false;
   bool unlit = false;
-  float ior = 1.5f;           // KHR_materials_ior
-  float transmission = 0;     // KHR_materials_transmission
+  float ior = 1.5f;        // KHR_materials_ior
+  float transmission = 0;  // KHR_materials_transmission
   TextureRef transmission_texture;
   // KHR_materials_volume
-  float thickness = 0;                 // 0 = thin-walled
+  float thickness = 0;  // 0 = thin-walled
   V3f attenuation_color = V3f(1, 1, 1);
-  float attenuation_distance = 0;      // metres; 0 = infinite
+  float attenuation_distance = 0;  // metres; 0 = infinite
 };
 
 // Triangles in their own space, one material.
@@ -73,17 +73,17 @@ struct Mesh {
   std::string name;
   int material = 0;  // index into Scene::materials
   std::vector<V3f> positions;
-  std::vector<V3f> normals;    // unit; empty = flat
-  std::vector<V4f> tangents;   // unit, w = +-1 handedness; empty = derived from uv
+  std::vector<V3f> normals;             // unit; empty = flat
+  std::vector<V4f> tangents;            // unit, w = +-1 handedness; empty = derived from uv
   std::array<std::vector<V2f>, 2> uvs;  // empty = (0, 0)
-  std::vector<V4f> colors;     // linear, multiplies base_color; empty = white
+  std::vector<V4f> colors;              // linear, multiplies base_color; empty = white
   std::vector<std::array<uint32_t, 3>> triangles;  // indices are in range
 };
 
 struct Instance {
   int mesh = 0;
-  // Row vectors, as Imath: p' = p * M. Affine, invertible, of positive determinant (the loader bakes
-  // flat transforms and mirrors meshes instead), so fronts stay fronts.
+  // Row vectors, as Imath: p' = p * M. Affine, invertible, of positive determinant (the loader
+  // bakes flat transforms and mirrors meshes instead), so fronts stay fronts.
   Imath::M44f to_world;
 };
 
@@ -108,10 +108,10 @@ struct SceneCamera {
   V3f right = V3f(1, 0, 0);     // unit, orthogonal
   V3f up = V3f(0, 1, 0);
   V3f forward = V3f(0, 0, -1);
-  float fov_y_radians = 0.7f;   // perspective
-  float half_height = 1;        // orthographic, metres
-  float lens_radius = 0;        // metres; 0 = pinhole
-  float focus_distance = 1;     // metres along forward
+  float fov_y_radians = 0.7f;  // perspective
+  float half_height = 1;       // orthographic, metres
+  float lens_radius = 0;       // metres; 0 = pinhole
+  float focus_distance = 1;    // metres along forward
 };
 
 // Radiance from infinity. Map: latitude-longitude, linear RGB, row-major, top row = +y.
@@ -122,7 +122,7 @@ struct EnvironmentLight {
   int width = 0;
   int height = 0;
   std::vector<V3f> texels;
-  float rotate_radians = 0;    // about +y, counter-clockwise seen from above
+  float rotate_radians = 0;  // about +y, counter-clockwise seen from above
 };
 
 struct Scene {
@@ -133,11 +133,11 @@ struct Scene {
   std::vector<Instance> instances;
   std::vector<PunctualLight> lights;
   std::optional<EnvironmentLight> environment;
-  SceneCamera camera;               // the one to use
-  std::vector<std::string> notes;   // warnings for the user, one line each
+  SceneCamera camera;              // the one to use
+  std::vector<std::string> notes;  // warnings for the user, one line each
 
-  int64_t num_triangles() const;    // instances counted
-  int64_t memory_bytes() const;     // of everything above
+  int64_t num_triangles() const;  // instances counted
+  int64_t memory_bytes() const;   // of everything above
 };
 
 }  // namespace tessera

@@ -32,9 +32,9 @@ std::string OneLine(std::string_view text) {
 
 absl::Status CheckMemory(int64_t needed_bytes, int64_t max_bytes) {
   if (max_bytes <= 0 || needed_bytes <= max_bytes) return absl::OkStatus();
-  return absl::ResourceExhaustedError(absl::StrCat(
-      "the scene needs about ", (needed_bytes >> 20) + 1, " MiB, the limit is ", max_bytes >> 20,
-      " MiB; raise the memory limit or reduce the scene"));
+  return absl::ResourceExhaustedError(
+      absl::StrCat("the scene needs about ", (needed_bytes >> 20) + 1, " MiB, the limit is ",
+                   max_bytes >> 20, " MiB; raise the memory limit or reduce the scene"));
 }
 
 std::vector<bool> UsedMaterials(const GltfDocument& document, const GeometryPlan& plan) {
@@ -96,20 +96,20 @@ absl::StatusOr<std::unique_ptr<Scene>> LoadScene(const SceneRequest& request,
 }
 
 AssetReader DirectoryReader(const std::string& directory) {
-  return [directory](const std::string& name)
-             -> absl::StatusOr<std::shared_ptr<const std::string>> {
+  return [directory](
+             const std::string& name) -> absl::StatusOr<std::shared_ptr<const std::string>> {
     const std::filesystem::path relative(name);
     bool leaves = name.empty() || relative.is_absolute() || name.find('\0') != std::string::npos;
     for (const std::filesystem::path& part : relative) leaves = leaves || part == "..";
     if (leaves) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "\"", name, "\" is not a file beside the scene or below it; move it there"));
+      return absl::InvalidArgumentError(
+          absl::StrCat("\"", name, "\" is not a file beside the scene or below it; move it there"));
     }
     const std::filesystem::path path = std::filesystem::path(directory) / relative;
     std::error_code error;
     if (!std::filesystem::exists(path, error)) {
-      return absl::NotFoundError(
-          absl::StrCat("file ", path.string(), " does not exist; put it there or correct the name"));
+      return absl::NotFoundError(absl::StrCat("file ", path.string(),
+                                              " does not exist; put it there or correct the name"));
     }
     if (!std::filesystem::is_regular_file(path, error)) {
       return absl::InvalidArgumentError(absl::StrCat(path.string(), " is not a file"));

@@ -12,8 +12,8 @@ namespace tessera {
 
 // Gives the bytes of the file `name`, relative to the scene file.
 // Errors: NOT_FOUND naming it.
-using AssetReader = std::function<absl::StatusOr<std::shared_ptr<const std::string>>(
-    const std::string& name)>;
+using AssetReader =
+    std::function<absl::StatusOr<std::shared_ptr<const std::string>>(const std::string& name)>;
 
 struct CameraChoice {
   enum class Kind { kDefault, kNamed, kLookAt } kind = Kind::kDefault;
@@ -37,8 +37,8 @@ struct SceneRequest {
   std::string scene_name;
   CameraChoice camera;
   EnvironmentChoice environment;
-  double aspect = 1;              // width / height of the picture
-  int64_t memory_max_bytes = 0;   // 0 = unlimited
+  double aspect = 1;             // width / height of the picture
+  int64_t memory_max_bytes = 0;  // 0 = unlimited
 };
 
 // Errors: INVALID_ARGUMENT  the file is wrong: one line with file, place in it and remedy

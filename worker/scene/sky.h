@@ -5,11 +5,11 @@
 // A positive rotation turns the sky about +y, counter-clockwise seen from above.
 #pragma once
 
+#include <Imath/ImathVec.h>
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-
-#include <Imath/ImathVec.h>
 
 namespace tessera {
 
