@@ -14,12 +14,13 @@ struct ImageReadLimits {
   int64_t values_max = int64_t{1} << 30;  // pixels times channels
 };
 
-// Reads the first picture of the file. EXR: half and float become floats, uint stays integer; an attribute tessera:KEY becomes metadata KEY. PNG: sRGB is decoded to linear light and
-// alpha multiplied in. A single channel Y is copied to R, G and B. The bytes decide the format, not
-// the name of the file.
+// Reads the first picture of the file. EXR: half and float become floats, uint stays integer, an
+// attribute tessera:KEY becomes metadata KEY. PNG: sRGB is decoded to linear light and alpha
+// multiplied in. A single channel Y is copied to R, G and B. The bytes decide the format, not the
+// name of the file.
 //
-// Errors: NOT_FOUND, PERMISSION_DENIED, INVALID_ARGUMENT (not an image, truncated, beyond a limit);
-// each names the file and what to do.
+// Errors: NOT_FOUND, PERMISSION_DENIED, or INVALID_ARGUMENT for what is no image, truncated or too
+// large. Each names the file and what to do.
 absl::StatusOr<Image> ReadImage(const std::string& path, const ImageReadLimits& limits = {});
 
 }  // namespace tessera
