@@ -1,0 +1,201 @@
+// Renders one view of a glTF scene with the path tracer alone (no coordinator, no filter), writes the
+// raw mean, and prints samples and rays a second. With --reference it prints the ratio of the mean
+// brightness to another picture's.
+//   path_tracer_bench SCENE --look-from X,Y,Z --look-at X,Y,Z --fov-y DEG [--env FILE | --sky R,G,B]
+//     [--size WxH] [--spp N] [--threads N] [--out FILE.exr] [--png FILE.png] [--reference FILE.exr]
+#include <atomic>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "absl/status/statusor.h"
+#include "core/base/tile_grid.h"
+#include "core/film/frame_planes.h"
+#include "core/image/exr_writer.h"
+#include "core/image/image_reader.h"
+#include "core/image/png_writer.h"
+#include "worker/integrator/path_tracer.h"
+#include "worker/scene/scene_loader.h"
+
+namespace tessera {
+namespace {
+
+struct Options {
+  std::string scene, env, out, png, reference, isa = "x86-64-v3";
+  std::vector<double> from, at, sky;
+  double fov_y = 45;
+  std::string size = "480x270";
+  int width = 0, height = 0;
+  int64_t spp = 16;
+  int threads = 2, max_depth = 8, build_threads = 2;
+  uint64_t seed = 0;
+};
+
+double Seconds() {
+  using Clock = std::chrono::steady_clock;
+  return std::chrono::duration<double>(Clock::now().time_since_epoch()).count();
+}
+
+absl::StatusOr<std::unique_ptr<Scene>> Load(const Options& options) {
+  const std::filesystem::path path = options.scene;
+  SceneRequest request;
+  request.scene_name = path.filename().string();
+  if (options.from.size() == 3 && options.at.size() == 3) {
+    request.camera.kind = CameraChoice::Kind::kLookAt;
+    request.camera.from = V3d(options.from[0], options.from[1], options.from[2]);
+    request.camera.at = V3d(options.at[0], options.at[1], options.at[2]);
+    request.camera.fov_y_degrees = options.fov_y;
+  }
+  if (!options.env.empty()) {
+    request.environment.kind = EnvironmentChoice::Kind::kMap;
+    request.environment.map_name = options.env;
+  } else if (options.sky.size() == 3) {
+    request.environment.kind = EnvironmentChoice::Kind::kSky;
+    request.environment.sky = V3d(options.sky[0], options.sky[1], options.sky[2]);
+  }
+  request.aspect = static_cast<double>(options.width) / options.height;
+  return LoadScene(request, DirectoryReader(path.parent_path().empty() ? "." : path.parent_path()));
+}
+
+// Renders all tiles of the frame on `threads` threads and resolves them into planes.
+absl::Status RenderFrame(const PathTracer& tracer, const Options& options, FramePlanes* planes,
+                         RenderCounters* counters) {
+  const TileGrid grid(PixelRect::FromSize(0, 0, options.width, options.height), 32);
+  const std::vector<SampleRange> nodes = MaximalNodes({0, options.spp});
+  std::vector<TileStatistics> tiles(static_cast<size_t>(grid.num_tiles()));
+  std::vector<RenderCounters> thread_counters(static_cast<size_t>(options.threads));
+  std::atomic<int64_t> next = 0;
+  const auto work = [&](int thread) {
+    for (int64_t tile = next++; tile < grid.num_tiles(); tile = next++) {
+      for (const SampleRange& node : nodes) {
+        auto rendered = tracer.Render(grid.WindowOf(tile), node, nullptr, &thread_counters[thread]);
+        if (node.begin == 0) {
+          tiles[tile] = *std::move(rendered);
+        } else {
+          tiles[tile].Merge(*rendered);
+        }
+      }
+    }
+  };
+  std::vector<std::thread> threads;
+  for (int i = 0; i < options.threads; ++i) threads.emplace_back(work, i);
+  for (std::thread& thread : threads) thread.join();
+  for (const TileStatistics& tile : tiles) planes->Resolve(tile);
+  for (const RenderCounters& c : thread_counters) {
+    counters->samples += c.samples;
+    counters->rays += c.rays;
+    counters->non_finite += c.non_finite;
+  }
+  return absl::OkStatus();
+}
+
+Image PictureOf(const FramePlanes& planes) {
+  Image image;
+  image.data_window = image.display_window = planes.bounds;
+  const char* const kNames[] = {"R", "G", "B"};
+  const char* const kAlbedo[] = {"albedo.R", "albedo.G", "albedo.B"};
+  const char* const kNormal[] = {"normal.X", "normal.Y", "normal.Z"};
+  for (int c = 0; c < 3; ++c) image.Add(kNames[c], planes.color[c]);
+  for (int c = 0; c < 3; ++c) image.Add(kAlbedo[c], planes.albedo[c]);
+  for (int c = 0; c < 3; ++c) image.Add(kNormal[c], planes.normal[c]);
+  image.Add("Z", planes.depth);
+  image.Add("id", planes.material_id);
+  return image;
+}
+
+double MeanOf(const std::vector<float>& values) {
+  double sum = 0;
+  for (float v : values) sum += v;
+  return sum / static_cast<double>(values.size());
+}
+
+absl::Status CompareBrightness(const FramePlanes& planes, const std::string& reference) {
+  const absl::StatusOr<Image> other = ReadImage(reference);
+  if (!other.ok()) return other.status();
+  const char* const kNames[] = {"R", "G", "B"};
+  for (int c = 0; c < 3; ++c) {
+    const ImageChannel* channel = other->Find(kNames[c]);
+    if (channel == nullptr) return absl::InvalidArgumentError(reference + ": no R, G, B channels");
+    std::printf("%s mean %.5f, reference %.5f, ratio %.4f\n", kNames[c], MeanOf(planes.color[c]),
+                MeanOf(channel->floats), MeanOf(planes.color[c]) / MeanOf(channel->floats));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Run(const Options& options) {
+  const double start = Seconds();
+  auto scene = Load(options);
+  if (!scene.ok()) return scene.status();
+  for (const std::string& note : (*scene)->notes) std::printf("note: %s\n", note.c_str());
+  const int64_t triangles = (*scene)->num_triangles();
+  const double loaded = Seconds();
+  RenderSettings settings;
+  settings.width = options.width;
+  settings.height = options.height;
+  settings.max_depth = options.max_depth;
+  settings.seed = options.seed;
+  settings.isa = options.isa;
+  settings.build_threads = options.build_threads;
+  auto tracer = PathTracer::Create(*std::move(scene), settings);
+  if (!tracer.ok()) return tracer.status();
+  const double built = Seconds();
+  FramePlanes planes(PixelRect::FromSize(0, 0, options.width, options.height));
+  RenderCounters counters;
+  if (absl::Status s = RenderFrame(**tracer, options, &planes, &counters); !s.ok()) return s;
+  const double seconds = Seconds() - built;
+  std::printf(
+      "%lld triangles, load %.2f s, build %.2f s, %.0f MB; render %.2f s, %.3f Msamples/s, "
+      "%.2f Mrays/s, %.2f rays/sample, %lld non-finite\n",
+      static_cast<long long>(triangles), loaded - start, built - loaded,
+      static_cast<double>((*tracer)->memory_bytes()) / 1e6, seconds,
+      static_cast<double>(counters.samples) / seconds / 1e6,
+      static_cast<double>(counters.rays) / seconds / 1e6,
+      static_cast<double>(counters.rays) / static_cast<double>(counters.samples),
+      static_cast<long long>(counters.non_finite));
+  const Image picture = PictureOf(planes);
+  if (!options.out.empty()) {
+    if (absl::Status s = WriteExr(options.out, picture); !s.ok()) return s;
+  }
+  if (!options.png.empty()) {
+    if (absl::Status s = WritePng(options.png, picture, {}); !s.ok()) return s;
+  }
+  return options.reference.empty() ? absl::OkStatus() : CompareBrightness(planes, options.reference);
+}
+
+}  // namespace
+}  // namespace tessera
+
+int main(int argc, char** argv) {
+  tessera::Options options;
+  CLI::App app("Renders a view with the path tracer alone and times it");
+  app.add_option("scene", options.scene)->required();
+  app.add_option("--look-from", options.from)->delimiter(',')->expected(3);
+  app.add_option("--look-at", options.at)->delimiter(',')->expected(3);
+  app.add_option("--fov-y", options.fov_y);
+  app.add_option("--env", options.env);
+  app.add_option("--sky", options.sky)->delimiter(',')->expected(3);
+  app.add_option("--size", options.size);
+  app.add_option("--spp", options.spp);
+  app.add_option("--threads", options.threads);
+  app.add_option("--build-threads", options.build_threads);
+  app.add_option("--max-depth", options.max_depth);
+  app.add_option("--seed", options.seed);
+  app.add_option("--isa", options.isa);
+  app.add_option("--out", options.out);
+  app.add_option("--png", options.png);
+  app.add_option("--reference", options.reference);
+  CLI11_PARSE(app, argc, argv);
+  if (std::sscanf(options.size.c_str(), "%dx%d", &options.width, &options.height) != 2) {
+    std::fprintf(stderr, "--size '%s' is not WxH\n", options.size.c_str());
+    return 2;
+  }
+  const absl::Status status = tessera::Run(options);
+  if (!status.ok()) std::fprintf(stderr, "%s\n", status.ToString().c_str());
+  return status.ok() ? 0 : 2;
+}
