@@ -44,7 +44,7 @@ int ParseFlags(int argc, char** argv, Flags* flags, bool* run) {
                  "give up after so many failures in a row; 0 = never")
       ->check(CLI::Range(0, 1 << 30));
   app.add_flag("--insecure", flags->insecure, "plain text to other machines: trust the network");
-  app.add_flag("--verbose", flags->verbose, "log each step");
+  app.add_flag("--verbose", flags->verbose, "log each lease");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
@@ -101,8 +101,11 @@ int Main(int argc, char** argv) {
 
   spdlog::set_default_logger(spdlog::stderr_color_mt("worker"));
   spdlog::set_level(flags.verbose ? spdlog::level::debug : spdlog::level::info);
-  flags.worker.log = [](bool warning, const std::string& line) {
-    spdlog::log(warning ? spdlog::level::warn : spdlog::level::info, line);
+  flags.worker.log = [](LogLevel level, const std::string& line) {
+    spdlog::log(level == LogLevel::kDebug   ? spdlog::level::debug
+                : level == LogLevel::kInfo ? spdlog::level::info
+                                           : spdlog::level::warn,
+                "{}", line);
   };
   sigset_t signals;
   sigemptyset(&signals);

@@ -195,7 +195,9 @@ void SessionMachine::ForgetJob(const std::string& name) {
 
 void SessionMachine::On(const session_event::WriteDone& event) {
   write_in_flight_ = false;
-  if (!event.ok && !aborted_) CloseFor("the link broke");
+  if (event.ok || aborted_) return;
+  aborted_ = true;  // StreamClosed will tell the reason
+  Emit(AbortStream{});
 }
 
 void SessionMachine::On(const session_event::StreamClosed& event) {
@@ -228,7 +230,7 @@ void SessionMachine::On(const session_event::StreamClosed& event) {
   }
   const milliseconds wait = backoff_.Next();
   deadline_ = now_ + wait;
-  LogLine(absl::StrCat(reason, "; trying again in ", wait.count(), " ms"), true);
+  LogLine(absl::StrCat(reason, "; trying again in ", wait.count(), " ms"), LogLevel::kWarning);
 }
 
 void SessionMachine::AbandonSession() {
@@ -251,13 +253,13 @@ void SessionMachine::On(session_event::Rendered& event) {
   tasks_.erase(task);
   if (lease_id == 0) return;
   if (!event.delta.ok()) {
-    LogLine(absl::StrCat("lease ", lease_id, ": ", event.delta.status().message()), true);
     Decline(lease_id, v1::DeclineLease::REASON_UNSPECIFIED,
             std::string(event.delta.status().message()));
     EraseLease(lease_id);
     return;
   }
   leases_[lease_id].rendered = true;
+  LogLine(absl::StrCat("lease ", lease_id, " rendered"), LogLevel::kDebug);
   v1::WorkerMessage message;
   *message.mutable_delta() = *std::move(event.delta);
   message.mutable_delta()->set_lease_id(lease_id);
@@ -393,12 +395,14 @@ void SessionMachine::FinishDrain() {
 
 void SessionMachine::CloseFor(const std::string& why) {
   aborted_ = true;
-  LogLine(absl::StrCat("closing the session: ", why), !draining_);
+  LogLine(absl::StrCat("closing the session: ", why),
+          draining_ ? LogLevel::kInfo : LogLevel::kWarning);
   Emit(AbortStream{});
 }
 
 void SessionMachine::Decline(uint64_t lease_id, v1::DeclineLease::Reason reason,
                              const std::string& detail) {
+  LogLine(absl::StrCat("declining lease ", lease_id, ": ", detail), LogLevel::kDebug);
   v1::DeclineLease* decline = control_.emplace_back().mutable_decline();
   decline->set_lease_id(lease_id);
   decline->set_reason(reason);
@@ -420,8 +424,8 @@ void SessionMachine::EraseLease(uint64_t lease_id) {
   leases_.erase(held);
 }
 
-void SessionMachine::LogLine(std::string line, bool warning) {
-  Emit(Log{warning, std::move(line)});
+void SessionMachine::LogLine(std::string line, LogLevel level) {
+  Emit(Log{level, std::move(line)});
 }
 
 }  // namespace tessera

@@ -48,6 +48,8 @@ struct BuildOutcome {
   v1::SceneReport report;  // kReady
 };
 
+enum class LogLevel { kDebug, kInfo, kWarning };
+
 namespace session_event {
 struct Start {};  // first of all
 struct Received {
@@ -101,7 +103,7 @@ struct CancelRender {
   uint64_t task = 0;
 };
 struct Log {
-  bool warning = false;
+  LogLevel level = LogLevel::kInfo;
   std::string line;
 };
 struct Finish {  // the session is over; what still runs may be cancelled
@@ -198,7 +200,7 @@ class SessionMachine {
   bool MakeRoom(int64_t bytes_more);
   void LimitScenes();
   void Emit(SessionEffect effect) { effects_.push_back(std::move(effect)); }
-  void LogLine(std::string line, bool warning = false);
+  void LogLine(std::string line, LogLevel level = LogLevel::kInfo);
 
   const SessionOptions options_;
   Backoff backoff_;

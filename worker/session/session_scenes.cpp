@@ -92,11 +92,12 @@ void SessionMachine::On(session_event::SceneBuilt& event) {
     }
     case BuildOutcome::Kind::kMemory:
     case BuildOutcome::Kind::kScene:
-      LogLine(absl::StrCat("scene ", event.scene.substr(0, 12), ": ", scene.outcome.detail), true);
+      LogLine(absl::StrCat("scene ", event.scene.substr(0, 12), ": ", scene.outcome.detail),
+              LogLevel::kWarning);
       scene.state = SceneEntry::State::kFailed;
       break;
     case BuildOutcome::Kind::kAssets: {
-      LogLine(scene.outcome.detail, true);
+      LogLine(scene.outcome.detail, LogLevel::kWarning);
       const std::deque<uint64_t> waiting = waiting_;
       for (const uint64_t id : waiting) {
         if (leases_[id].scene != event.scene) continue;

@@ -91,7 +91,7 @@ class WorkerSession::Impl {
   void Apply(session_effect::StartRender& effect);
   void Apply(session_effect::CancelRender& effect) { pool_->Cancel(effect.task); }
   void Apply(session_effect::Log& effect) {
-    if (options_.log) options_.log(effect.warning, effect.line);
+    if (options_.log) options_.log(effect.level, effect.line);
   }
   void Apply(session_effect::Finish& effect) { result_ = std::move(effect.status); }
 

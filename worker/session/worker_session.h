@@ -11,6 +11,7 @@
 
 #include "absl/status/status.h"
 #include "worker/session/renderer.h"
+#include "worker/session/session_machine.h"
 
 namespace tessera {
 
@@ -22,7 +23,7 @@ struct WorkerOptions {
   int64_t cache_bytes = int64_t{1} << 30;  // of fetched files kept for the next scene
   std::string name;             // shown by the server; empty = the host's name
   // One line about what happens; null = silent. Called on the thread of Run.
-  std::function<void(bool warning, const std::string& line)> log;
+  std::function<void(LogLevel level, const std::string& line)> log;
 };
 
 // Threads: Run blocks; Drain and Stop may be called from any thread (not from a signal handler).
