@@ -1,0 +1,97 @@
+// The values of flags as typed; empty = not given. Checked by the command that uses them, so that
+// every error names the flag, its value and the remedy.
+#pragma once
+
+#include <string>
+#include <vector>
+
+namespace tessera {
+
+struct ConnectFlags {
+  std::string server;
+  std::string token_file;
+  std::string ca;
+  std::string cert;
+  std::string key;
+  bool insecure = false;
+};
+
+struct OutputFlags {
+  std::vector<std::string> paths;
+  std::string layers;
+  std::string exposure;
+};
+
+struct SceneFlags {
+  std::string scene;
+  std::string camera;
+  std::string look_from;
+  std::string look_at;
+  std::string up;
+  std::string fov_y;
+  std::string lens_radius;
+  std::string focus_distance;
+  std::string size;
+  std::string region;
+  std::string tile_size;
+  std::string spp;
+  std::string target_error;
+  std::string max_time;
+  std::string max_depth;
+  std::string seed;
+  std::string isa;
+  std::string env;
+  std::string env_rotate;
+  std::string sky;
+  bool transparent = false;
+  std::string denoiser;
+  std::string quality;
+  std::string priority;
+  std::string continue_film;
+};
+
+struct RenderFlags {
+  SceneFlags scene;
+  OutputFlags output;
+  ConnectFlags connect;
+  std::string threads;
+  bool json = false;
+  bool quiet = false;
+};
+
+// list, show, watch, pause, resume, cancel, delete, workers.
+struct JobFlags {
+  std::string job;
+  ConnectFlags connect;
+  bool json = false;
+  bool quiet = false;
+};
+
+struct FetchFlags {
+  std::string job;
+  std::string region;
+  OutputFlags output;
+  ConnectFlags connect;
+  bool json = false;
+};
+
+struct DenoiseFlags {
+  std::vector<std::string> inputs;
+  std::string denoiser;
+  std::string quality;
+  OutputFlags output;
+  bool json = false;
+};
+
+struct CompareFlags {
+  std::string image;
+  std::vector<std::string> references;
+  bool json = false;
+};
+
+struct InfoFlags {
+  std::string scene;
+  bool json = false;
+};
+
+}  // namespace tessera

@@ -1,0 +1,180 @@
+// tessera render SCENE -o OUT: one job from scene to files, in this process or on a server.
+// Ctrl-C cancels the job and writes what there is; in this process also a film that --continue takes
+// up, for nothing else remembers the samples.
+#include <chrono>
+#include <cstdio>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include <nlohmann/json.hpp>
+
+#include "absl/strings/str_cat.h"
+#include "client/cli/commands.h"
+#include "client/cli/connect.h"
+#include "client/cli/interrupt.h"
+#include "client/cli/job_command.h"
+#include "client/cli/outputs.h"
+#include "client/cli/parse_values.h"
+#include "client/cli/progress_bar.h"
+#include "client/cli/render_result.h"
+#include "client/cli/scene_submission.h"
+
+namespace tessera {
+namespace {
+
+constexpr int kThreadsMax = 1024;
+constexpr std::chrono::milliseconds kWatchInterval{200};
+
+class RenderCommand {
+ public:
+  RenderCommand(const RenderFlags& flags, const CommandLineParts& parts)
+      : flags_(flags), parts_(parts), progress_(flags.quiet) {}
+
+  absl::Status Run() {
+    absl::StatusOr<OutputPlan> plan = PlanOutputs(flags_.output);
+    if (!plan.ok()) return plan.status();
+    plan_ = *std::move(plan);
+    const absl::StatusOr<SceneSubmission> submission = PrepareSubmission(flags_.scene);
+    if (!submission.ok()) return submission.status();
+    const absl::Status connected = ConnectOrStartFarm();
+    if (!connected.ok()) return connected;
+    absl::StatusOr<v1::Job> job = Submit(*client_, *submission, &progress_, interrupt_.token());
+    if (!job.ok()) return job.status();
+    name_ = job->name();
+    job = WatchToEnd();
+    if (!job.ok() && !absl::IsCancelled(job.status())) return job.status();
+    if (farm_ != nullptr && !farm_->worker_status().ok()) return farm_->worker_status();
+    if (!job.ok()) return FinishInterrupted();
+    const absl::Status outcome = OutcomeOf(*job);
+    if (absl::IsCancelled(outcome)) return WriteInterrupted(*job);  // by somebody else
+    if (!outcome.ok()) return outcome;
+    return Write(*job);
+  }
+
+ private:
+  absl::Status ConnectOrStartFarm() {
+    if (!flags_.connect.server.empty()) {
+      if (!flags_.threads.empty()) {
+        return absl::InvalidArgumentError(
+            "--threads: the workers of a server have their own; drop it, or drop --server");
+      }
+      absl::StatusOr<std::unique_ptr<FarmClient>> client = ConnectToFarm(flags_.connect);
+      if (client.ok()) client_ = *std::move(client);
+      return client.status();
+    }
+    LocalFarmOptions options;
+    if (!flags_.threads.empty()) {
+      const absl::StatusOr<int64_t> threads =
+          ParseInteger("--threads", flags_.threads, 1, kThreadsMax);
+      if (!threads.ok()) return threads.status();
+      options.threads = static_cast<int>(*threads);
+    }
+    options.on_worker_end = [this] { interrupt_.RequestStop(); };
+    absl::StatusOr<std::unique_ptr<LocalFarm>> farm = parts_.start_local_farm(options);
+    if (!farm.ok()) return farm.status();
+    farm_ = *std::move(farm);
+    client_ = std::make_unique<FarmClient>(farm_->channel(), FarmClientOptions());
+    return absl::OkStatus();
+  }
+
+  void OnChange(const v1::Job& job) {
+    clock_.OnChange(job, std::chrono::steady_clock::now());
+    if (!noted_scene_ && job.has_scene()) {
+      noted_scene_ = true;
+      for (const std::string& note : job.scene().notes()) progress_.Note(note);
+    }
+    // Inside this process the worker connects at once: only a farm is worth waiting words.
+    if (!noted_waiting_ && farm_ == nullptr && !job.waiting().empty()) {
+      noted_waiting_ = true;
+      progress_.Note(absl::StrCat(job.name(), " waits: ", job.waiting()));
+    }
+    progress_.ShowJob(job);
+  }
+
+  absl::StatusOr<v1::Job> WatchToEnd() {
+    return client_->Watch(name_, [this](const v1::Job& job) { OnChange(job); }, kWatchInterval,
+                          interrupt_.token());
+  }
+
+  absl::Status Write(const v1::Job& job) {
+    absl::StatusOr<std::vector<std::string>> paths =
+        FetchAndWrite(*client_, job, plan_, PixelRect(), /*wait_for_filter=*/true);
+    progress_.Clear();
+    if (!paths.ok()) return paths.status();
+    Report(job, *std::move(paths));
+    return absl::OkStatus();
+  }
+
+  // After Ctrl-C: the job ends, then what it has is written. A second Ctrl-C ends all this.
+  absl::Status FinishInterrupted() {
+    progress_.Clear();
+    progress_.Note("interrupted: saving the picture so far (once more to stop at once)");
+    const absl::StatusOr<v1::Job> cancelled = client_->CancelJob(name_);
+    // A job that ended meanwhile cannot be cancelled: it is taken as it is.
+    if (!cancelled.ok() && !absl::IsFailedPrecondition(cancelled.status())) {
+      return cancelled.status();
+    }
+    const absl::StatusOr<v1::Job> job = client_->Watch(name_, nullptr, kWatchInterval);
+    if (!job.ok()) return job.status();
+    return WriteInterrupted(*job);
+  }
+
+  absl::Status WriteInterrupted(const v1::Job& job) {
+    if (job.progress().samples() == 0) {
+      return absl::CancelledError("cancelled before the first sample: nothing was written");
+    }
+    clock_.OnChange(job, std::chrono::steady_clock::now());
+    absl::StatusOr<std::vector<std::string>> paths =
+        FetchAndWrite(*client_, job, plan_, PixelRect(), /*wait_for_filter=*/true);
+    if (!paths.ok()) return paths.status();
+    std::string remedy = absl::StrCat("'tessera fetch ", job.name(), "' gets it again");
+    if (farm_ != nullptr) {
+      std::string film = plan_.film && plan_.HasExr() ? std::string() : FilmPathBeside(plan_);
+      if (film.empty()) {
+        for (const OutputTarget& target : plan_.targets) {
+          if (target.format == OutputFormat::kExr) film = target.path;
+        }
+      } else {
+        const absl::Status written = FetchAndWriteFilm(*client_, job, film);
+        if (!written.ok()) return written;
+        paths->push_back(film);
+      }
+      remedy = absl::StrCat("--continue ", film, " goes on from here");
+    }
+    progress_.Clear();
+    Report(job, *std::move(paths));
+    return absl::CancelledError(absl::StrCat("cancelled at ", job.progress().spp(),
+                                             " samples per pixel; ", remedy));
+  }
+
+  void Report(const v1::Job& job, std::vector<std::string> paths) {
+    const RenderSeconds seconds = clock_.Seconds(job, std::chrono::steady_clock::now());
+    const RenderResult result{job, seconds, std::move(paths)};
+    if (flags_.json) {
+      PrintJson(ResultJson(result));
+    } else if (!flags_.quiet) {
+      std::printf("%s\n", ResultLine(result).c_str());
+    }
+  }
+
+  const RenderFlags& flags_;
+  const CommandLineParts& parts_;
+  RenderClock clock_{std::chrono::steady_clock::now()};
+  OutputPlan plan_;
+  ProgressBar progress_;
+  InterruptScope interrupt_;
+  std::unique_ptr<LocalFarm> farm_;  // null with --server; stopped before interrupt_ goes
+  std::unique_ptr<FarmClient> client_;
+  std::string name_;  // of the job
+  bool noted_scene_ = false;
+  bool noted_waiting_ = false;
+};
+
+}  // namespace
+
+absl::Status RunRender(const RenderFlags& flags, const CommandLineParts& parts) {
+  return RenderCommand(flags, parts).Run();
+}
+
+}  // namespace tessera

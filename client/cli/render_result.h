@@ -1,0 +1,52 @@
+// The figures of a finished render: the line for people and the JSON object for scripts.
+#pragma once
+
+#include <chrono>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json_fwd.hpp>
+
+#include "tessera/v1/job.pb.h"
+
+namespace tessera {
+
+// Wall-clock seconds, as this process saw them.
+struct RenderSeconds {
+  double load = 0;    // building the scene on the worker
+  double render = 0;  // from the first lease to the last sample, less load
+  double filter = 0;  // from then to the final picture; filtering meanwhile is not in it
+  double total = 0;   // of the whole command
+};
+
+// Notes when a job changes state.
+class RenderClock {
+ public:
+  using TimePoint = std::chrono::steady_clock::time_point;
+
+  explicit RenderClock(TimePoint start) : start_(start) {}
+  void OnChange(const v1::Job& job, TimePoint now);
+  // `now`: when the final picture was there.
+  RenderSeconds Seconds(const v1::Job& job, TimePoint now) const;
+
+ private:
+  TimePoint start_;
+  TimePoint first_lease_;
+  TimePoint last_sample_;
+  bool leased_ = false;
+  bool sampled_ = false;
+};
+
+struct RenderResult {
+  v1::Job job;
+  RenderSeconds seconds;
+  std::vector<std::string> outputs;
+};
+
+// digest, width, height, spp, samples, rays, non_finite, seconds, error, stopped_by, bytes, outputs.
+// error.rel_rmse is the server's estimate (null while unknown), error.promised the --target-error
+// (null without).
+nlohmann::ordered_json ResultJson(const RenderResult& result);
+std::string ResultLine(const RenderResult& result);
+
+}  // namespace tessera

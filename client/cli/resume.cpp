@@ -1,0 +1,13 @@
+// tessera resume JOB
+#include "client/cli/commands.h"
+#include "client/cli/job_command.h"
+
+namespace tessera {
+
+absl::Status RunResume(const JobFlags& flags) {
+  return SteerJob(flags, [](FarmClient& client, const std::string& name) {
+    return client.ResumeJob(name);
+  });
+}
+
+}  // namespace tessera
