@@ -1,6 +1,8 @@
 // Honest variance of the mean from two independently scrambled halves.
-// (A - B)^2 n_A n_B / n^2 is an unbiased but noisy estimate of the variance of the mean of both
-// halves; pooled over the 9x9 neighbourhood of a pixel it covers as promised (docs/statistics.md).
+// D = (A - B)^2 n_A n_B / n^2 estimates the variance of the mean of both halves without bias, but
+// one pixel's D is nearly all noise; it is pooled over the 9x9 neighbourhood of the pixel, with
+// larger weights for pixels whose samples spread alike, so that a quiet pixel beside a noisy one
+// gets its own interval. Coverage, widths and the alternatives tried: docs/statistics.md.
 #pragma once
 
 #include "core/base/pixel_rect.h"
@@ -8,11 +10,13 @@
 
 namespace tessera {
 
-inline constexpr int kCalibrationRadiusPx = 4;
+// How far from a pixel the planes are read: 4 for D, and the 3x3 around each for the spread.
+inline constexpr int kCalibrationRadiusPx = 5;
 
-// Fills planes->variance over `window` from the halves within kCalibrationRadiusPx of it (cut at
-// the bounds). A pixel's result depends on its neighbourhood alone, not on `window`.
-// half_counts: samples of each half per pixel follow from planes->samples (A has the odd one).
+// Fills planes->variance over `window` from color_half, sample_variance_of_mean and samples within
+// kCalibrationRadiusPx of it (cut at the bounds). Pixels with an empty half are skipped, and get
+// +inf themselves. A pixel's result depends on its neighbourhood alone, not on `window`.
+// Threads: any number at once on disjoint windows.
 void CalibrateVariance(const PixelRect& window, FramePlanes* planes);
 
 }  // namespace tessera
