@@ -1,9 +1,10 @@
 #include "core/denoise/denoise_frame.h"
 
-#include <cstdio>
-#include <cstdlib>
+#include <algorithm>
 #include <vector>
 
+#include "core/base/check.h"
+#include "oneapi/tbb/info.h"
 #include "oneapi/tbb/parallel_for.h"
 #include "oneapi/tbb/task_arena.h"
 
@@ -12,12 +13,6 @@ namespace {
 
 // Windows are cut to this before they are filtered: large against a halo, small against a frame.
 constexpr int kWindowSizePx = 128;
-
-void CheckFits(bool fits) {
-  if (fits) return;
-  std::fputs("DenoiseWindows: a window or its halo lies outside the planes\n", stderr);
-  std::abort();
-}
 
 std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows) {
   std::vector<PixelRect> parts;
@@ -39,10 +34,12 @@ void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
   for (const PixelRect& window : windows) {
     if (window.empty()) continue;
     const PixelRect read = window.Expand(denoiser.halo_px()).Intersect(parameters.frame);
-    CheckFits(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
-              out->bounds.Contains(window));
+    TESSERA_CHECK(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
+                  out->bounds.Contains(window));
   }
   const std::vector<PixelRect> parts = SplitWindows(windows);
+  // TBB warns on stderr when asked for more than this.
+  num_threads = std::min(num_threads, oneapi::tbb::info::default_concurrency());
   if (num_threads <= 1) {
     for (const PixelRect& part : parts) denoiser.Filter(planes, parameters, part, out);
     return;
