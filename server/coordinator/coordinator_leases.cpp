@@ -91,7 +91,8 @@ void Coordinator::On(WorkerConnectedEvent& event) {
   v1::Welcome& welcome = *message.mutable_welcome();
   welcome.set_worker(absl::StrCat("workers/", worker->id));
   *welcome.mutable_lease_ttl() = DurationOfMs(config_.lease_ttl_ms);
-  *welcome.mutable_heartbeat_interval() = DurationOfMs(std::max<int64_t>(1, config_.lease_ttl_ms / 4));
+  *welcome.mutable_heartbeat_interval() =
+      DurationOfMs(std::max<int64_t>(1, config_.lease_ttl_ms / 4));
   workers_.emplace(event.session, std::move(worker));
   Send(event.session, std::move(message));
   waiting_changed_ = true;

@@ -35,8 +35,7 @@ absl::Status Coordinator::CheckDelta(const Job& job, const DeltaEvent& event) co
   }
   const Unit unit{delta.tile_index(), event.tile.range()};
   const int64_t samples = unit.range.size() * event.tile.num_pixels();
-  if (!unit.range.IsNode() || delta.rays() < 0 || delta.rays() / kRaysPerSampleMax > samples ||
-      delta.non_finite() < 0 || delta.non_finite() > samples) {
+  if (!unit.range.IsNode() || delta.rays() < 0 || delta.rays() / kRaysPerSampleMax > samples) {
     return absl::InvalidArgumentError(
         absl::StrCat("delta of ", delta.job(), ": range or counts are impossible"));
   }
@@ -70,7 +69,6 @@ void Coordinator::On(DeltaEvent& event) {
 
 void Coordinator::Merge(Job& job, DeltaEvent& event) {
   const Unit unit{event.delta.tile_index(), event.tile.range()};
-  event.tile.non_finite = event.delta.non_finite();
   const int64_t committed_before = job.film->CommittedEnd(unit.tile);
   result_.status = job.film->Accept(unit.tile, std::move(event.tile));
   TESSERA_CHECK(result_.status.ok());

@@ -56,9 +56,9 @@ struct WorkerGoneEvent {
 // delta.payload has been decoded into `tile`.
 struct DeltaEvent {
   SessionId session = 0;
-  v1::TileDelta delta;
+  v1::TileDelta delta{};
   int64_t wire_bytes = 0;
-  TileStatistics tile;
+  TileStatistics tile{};
 };
 struct HeartbeatEvent {
   SessionId session = 0;

@@ -47,7 +47,8 @@ std::optional<Unit> TileQueue::Take() {
       return unit;
     }
     // Cut the next tile of the oldest stage that has one.
-    auto stage = std::ranges::find_if(stages_, [&](const Stage& s) { return s.next_tile < num_tiles; });
+    const auto has_tiles = [&](const Stage& s) { return s.next_tile < num_tiles; };
+    const auto stage = std::ranges::find_if(stages_, has_tiles);
     if (stage == stages_.end()) {
       if (!OpenStage()) return std::nullopt;
       continue;

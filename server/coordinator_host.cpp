@@ -1,0 +1,24 @@
+#include "server/coordinator_host.h"
+
+#include <chrono>
+
+namespace tessera {
+
+Instant Now() {
+  using std::chrono::duration_cast;
+  using std::chrono::milliseconds;
+  return {duration_cast<milliseconds>(std::chrono::steady_clock::now().time_since_epoch()).count(),
+          duration_cast<milliseconds>(std::chrono::system_clock::now().time_since_epoch()).count()};
+}
+
+CoordinatorHost::CoordinatorHost(CoordinatorConfig config, EffectSink& sink)
+    : coordinator_(std::move(config)), sink_(sink) {}
+
+CoordinatorHost::Answer CoordinatorHost::Post(Event event) {
+  std::lock_guard lock(mu_);
+  const StepResult result = coordinator_.Step(std::move(event), Now());
+  for (const Effect& effect : result.effects) sink_.Apply(effect);
+  return {result.status, result.job};
+}
+
+}  // namespace tessera

@@ -1,0 +1,47 @@
+// Runs a Coordinator for many threads: one lock, the clock, and effects handed on in order.
+#pragma once
+
+#include <mutex>
+#include <utility>
+#include <vector>
+
+#include "server/coordinator/coordinator.h"
+
+namespace tessera {
+
+// Carries out effects. Called under the coordinator's lock, in order: must not block, nor call the
+// host back.
+class EffectSink {
+ public:
+  virtual ~EffectSink() = default;
+  virtual void Apply(const Effect& effect) = 0;
+};
+
+Instant Now();
+
+// Threads: all methods from any thread.
+class CoordinatorHost {
+ public:
+  // `sink` must outlive the host's last Post.
+  CoordinatorHost(CoordinatorConfig config, EffectSink& sink);
+
+  struct Answer {
+    absl::Status status;
+    JobId job = 0;
+  };
+  Answer Post(Event event);
+
+  // Calls query(const Coordinator&) under the lock; it must be quick.
+  template <typename Query>
+  auto Read(Query&& query) const {
+    std::lock_guard lock(mu_);
+    return std::forward<Query>(query)(std::as_const(coordinator_));
+  }
+
+ private:
+  mutable std::mutex mu_;
+  Coordinator coordinator_;  // guarded by mu_
+  EffectSink& sink_;
+};
+
+}  // namespace tessera

@@ -1,0 +1,121 @@
+// tessera-server: a coordinator that listens.
+#include <csignal>
+#include <fstream>
+#include <iostream>
+
+#include <CLI/CLI.hpp>
+#include <fmt/core.h>
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+
+#include "core/base/version.h"
+#include "core/image/output_file.h"
+#include "server/service.h"
+
+namespace tessera {
+namespace {
+
+// As in DESIGN.md.
+enum ExitCode { kDone = 0, kBug = 1, kBadInput = 2, kUnavailable = 3 };
+
+int ExitCodeOf(const absl::Status& status) {
+  if (absl::IsInvalidArgument(status) || absl::IsPermissionDenied(status) ||
+      absl::IsNotFound(status)) {
+    return kBadInput;
+  }
+  return absl::IsUnavailable(status) || absl::IsResourceExhausted(status) ? kUnavailable : kBug;
+}
+
+int Refuse(const absl::Status& status) {
+  fmt::print(stderr, "tessera-server: {}\n", std::string(status.message()));
+  return ExitCodeOf(status);
+}
+
+struct Arguments {
+  ServiceOptions service;
+  double lease_ttl_seconds = 10;
+  std::string port_file;
+  bool verbose = false;
+};
+
+void AddOptions(CLI::App& app, Arguments& arguments) {
+  ServiceOptions& service = arguments.service;
+  app.set_version_flag("--version", kVersion);
+  app.set_config("--config", "", "A file with these options, NAME=VALUE a line");
+  app.add_option("--listen", service.listen, "HOST:PORT for clients and workers; port 0 = any")
+      ->capture_default_str();
+  app.add_option("--http", service.http_listen,
+                 "HOST:PORT for pictures over HTTP; port 0 = any, empty = none")
+      ->capture_default_str();
+  app.add_option("--data-dir", service.data_dir,
+                 "Folder of jobs, films and assets; without it they live in memory");
+  app.add_option("--quota", service.data_bytes_max,
+                 "Bytes of assets, e.g. 64GB; 0 = unlimited")
+      ->transform(CLI::AsSizeValue(false))
+      ->capture_default_str();
+  app.add_option("--lease-ttl", arguments.lease_ttl_seconds,
+                 "Seconds after which the work of a silent worker is given to another")
+      ->check(CLI::Range(0.1, 3600.0))
+      ->capture_default_str();
+  app.add_option("--tile-size", service.tile_size, "Of jobs that name none")->capture_default_str();
+  app.add_option("--filter-threads", service.filter_threads, "That denoise; 0 = all cores")
+      ->capture_default_str();
+  app.add_option("--port-file", arguments.port_file,
+                 "Writes the ports that were chosen: GRPC=N and HTTP=N, a line each");
+  app.add_flag("--insecure", service.insecure, "Allows plaintext on other than loopback addresses");
+  app.add_flag("--verbose", arguments.verbose, "Logs more");
+}
+
+absl::Status WritePorts(const std::string& path, const Service& service) {
+  const std::string text =
+      fmt::format("GRPC={}\nHTTP={}\n", service.port(), service.http_port());
+  return WriteFileAtomically(path, std::as_bytes(std::span(text.data(), text.size())));
+}
+
+int Run(int argc, char** argv) {
+  // Before any thread: all of them leave these signals to the wait below.
+  sigset_t signals;
+  sigemptyset(&signals);
+  sigaddset(&signals, SIGTERM);
+  sigaddset(&signals, SIGINT);
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+  std::signal(SIGPIPE, SIG_IGN);
+
+  CLI::App app("Tessera's coordinator: jobs, assets, leases, pictures", "tessera-server");
+  Arguments arguments;
+  arguments.service.listen = "127.0.0.1:4242";
+  arguments.service.http_listen = "127.0.0.1:4280";
+  AddOptions(app, arguments);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? kDone : kBadInput;
+  }
+  arguments.service.lease_ttl =
+      std::chrono::milliseconds(static_cast<int64_t>(1e3 * arguments.lease_ttl_seconds));
+  spdlog::set_default_logger(spdlog::stderr_color_mt("tessera-server"));
+  spdlog::set_pattern("%Y-%m-%dT%H:%M:%S.%eZ %l %v", spdlog::pattern_time_type::utc);
+  spdlog::set_level(arguments.verbose ? spdlog::level::debug : spdlog::level::info);
+
+  absl::StatusOr<std::unique_ptr<Service>> service = Service::Start(arguments.service);
+  if (!service.ok()) return Refuse(service.status());
+  spdlog::info("version={} listening grpc_port={} http_port={} data_dir={}", kVersion,
+               (*service)->port(), (*service)->http_port(),
+               arguments.service.data_dir.empty() ? "(memory)" : arguments.service.data_dir);
+  if (!arguments.port_file.empty()) {
+    if (absl::Status status = WritePorts(arguments.port_file, **service); !status.ok()) {
+      return Refuse(status);
+    }
+  }
+  int signal = 0;
+  sigwait(&signals, &signal);
+  spdlog::info("stopping");
+  pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);  // a second signal ends it at once
+  (*service)->Shutdown();
+  return kDone;
+}
+
+}  // namespace
+}  // namespace tessera
+
+int main(int argc, char** argv) { return tessera::Run(argc, argv); }

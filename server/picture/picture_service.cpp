@@ -1,0 +1,215 @@
+#include "server/picture/picture_service.h"
+
+#include <algorithm>
+#include <chrono>
+#include <numeric>
+
+namespace tessera {
+namespace {
+
+constexpr int64_t kIntervalMinMs = 100;    // ten previews a second are enough
+constexpr int64_t kIdleKeepMs = 60000;     // how long a picture that nobody looks at is kept
+constexpr int64_t kSleepMaxMs = 1000;
+
+int64_t MonotonicMs() {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(
+             std::chrono::steady_clock::now().time_since_epoch())
+      .count();
+}
+
+}  // namespace
+
+PictureService::PictureService(PictureSource source, int num_threads)
+    : source_(std::move(source)), num_threads_(num_threads), thread_([this] { Run(); }) {}
+
+PictureService::~PictureService() { Stop(); }
+
+void PictureService::Stop() {
+  {
+    std::lock_guard lock(mu_);
+    stopping_ = true;
+  }
+  wake_.notify_all();
+  if (thread_.joinable()) thread_.join();
+  std::vector<Done> waiting;
+  {
+    std::lock_guard lock(mu_);
+    for (auto& [id, entry] : entries_) {
+      std::ranges::move(entry.waiting, std::back_inserter(waiting));
+      entry.waiting.clear();
+    }
+  }
+  for (const Done& done : waiting) done(nullptr);
+}
+
+void PictureService::TileChanged(JobId job, int64_t tile) {
+  std::lock_guard lock(mu_);
+  const auto it = entries_.find(job);
+  if (it == entries_.end() || it->second.picture == nullptr) return;
+  it->second.changed.insert(tile);
+  if (it->second.watchers > 0) wake_.notify_all();
+}
+
+void PictureService::Evaluate(JobId job) {
+  std::lock_guard lock(mu_);
+  entries_[job].evaluate = true;
+  wake_.notify_all();
+}
+
+void PictureService::Finish(JobId job) {
+  std::lock_guard lock(mu_);
+  entries_[job].finish = true;
+  wake_.notify_all();
+}
+
+void PictureService::Remove(JobId job) {
+  std::lock_guard lock(mu_);
+  const auto it = entries_.find(job);
+  if (it == entries_.end()) return;
+  if (it->second.waiting.empty()) {
+    entries_.erase(it);
+  } else {
+    wake_.notify_all();
+  }
+}
+
+void PictureService::AddWatcher(JobId job) {
+  std::lock_guard lock(mu_);
+  ++entries_[job].watchers;
+  wake_.notify_all();
+}
+
+void PictureService::RemoveWatcher(JobId job) {
+  std::lock_guard lock(mu_);
+  const auto it = entries_.find(job);
+  if (it != entries_.end() && it->second.watchers > 0) --it->second.watchers;
+}
+
+void PictureService::Fetch(JobId job, bool wait, Done done) {
+  std::shared_ptr<const Picture> ready;
+  {
+    std::lock_guard lock(mu_);
+    if (!stopping_) {
+      Entry& entry = entries_[job];
+      entry.used_ms = MonotonicMs();
+      if (wait || entry.picture == nullptr || entry.picture->version() == 0) {
+        entry.waiting.push_back(std::move(done));
+        wake_.notify_all();
+        return;
+      }
+      entry.wanted = true;
+      wake_.notify_all();
+      ready = entry.picture;
+    }
+  }
+  done(std::move(ready));
+}
+
+void PictureService::Run() {
+  std::unique_lock lock(mu_);
+  while (!stopping_) {
+    int64_t sleep_ms = kSleepMaxMs;
+    const JobId job = Choose(MonotonicMs(), &sleep_ms);
+    if (job == 0) {
+      wake_.wait_for(lock, std::chrono::milliseconds(sleep_ms));
+      EvictIdle(MonotonicMs());
+      continue;
+    }
+    lock.unlock();
+    RunRound(job);
+    lock.lock();
+  }
+}
+
+JobId PictureService::Choose(int64_t now_ms, int64_t* sleep_ms) const {
+  JobId due = 0;
+  for (const auto& [id, entry] : entries_) {
+    if (entry.evaluate || entry.finish || !entry.waiting.empty()) return id;
+    const bool is_stale = entry.picture == nullptr || !entry.changed.empty();
+    if (!is_stale || (entry.watchers == 0 && !entry.wanted)) continue;
+    if (entry.not_before_ms <= now_ms) {
+      due = due == 0 ? id : due;
+    } else {
+      *sleep_ms = std::min(*sleep_ms, entry.not_before_ms - now_ms);
+    }
+  }
+  return due;
+}
+
+void PictureService::Abandon(JobId job) {
+  std::vector<Done> waiting;
+  {
+    std::lock_guard lock(mu_);
+    const auto it = entries_.find(job);
+    if (it == entries_.end()) return;
+    waiting = std::move(it->second.waiting);
+    entries_.erase(it);
+  }
+  for (const Done& done : waiting) done(nullptr);
+}
+
+std::shared_ptr<Picture> PictureService::TakeChanges(JobId job, const PictureSource::JobView& view,
+                                                     std::vector<int64_t>* changed) {
+  std::shared_ptr<Picture> fresh;
+  {
+    std::lock_guard lock(mu_);
+    Entry& entry = entries_[job];
+    if (entry.picture != nullptr) {
+      changed->assign(entry.changed.begin(), entry.changed.end());
+      entry.changed.clear();
+      return entry.picture;
+    }
+  }
+  // Whatever the film has by now is taken; TileChanged is recorded once the entry has the picture.
+  fresh = std::make_shared<Picture>(view.settings);
+  changed->resize(static_cast<size_t>(view.film->grid().num_tiles()));
+  std::iota(changed->begin(), changed->end(), 0);
+  std::lock_guard lock(mu_);
+  entries_[job].picture = fresh;
+  return fresh;
+}
+
+void PictureService::RunRound(JobId job) {
+  // The committed state is read before the changes are taken: the picture shows at least that.
+  const std::unique_ptr<PictureSource::JobView> view = source_.view(job);
+  if (view == nullptr) return Abandon(job);
+  std::vector<Done> waiting;
+  bool finish = false;
+  {
+    std::lock_guard lock(mu_);
+    Entry& entry = entries_[job];
+    waiting = std::exchange(entry.waiting, {});
+    finish = std::exchange(entry.finish, false);
+    entry.evaluate = entry.wanted = false;
+  }
+  const int64_t begin_ms = MonotonicMs();
+  std::vector<int64_t> changed;
+  const std::shared_ptr<Picture> picture = TakeChanges(job, *view, &changed);
+  if (!changed.empty()) {
+    picture->Update(
+        changed, [&](int64_t tile) { return source_.fold_tile(*view->film, tile); }, num_threads_);
+  }
+  const int64_t end_ms = MonotonicMs();
+  const double core_seconds = 1e-3 * static_cast<double>(end_ms - begin_ms) * num_threads_;
+  const auto cores = std::max(1u, std::thread::hardware_concurrency());
+  const auto pause_ms = static_cast<int64_t>(1e3 * core_seconds / (kPreviewShare * cores));
+  {
+    std::lock_guard lock(mu_);
+    Entry& entry = entries_[job];
+    entry.not_before_ms = begin_ms + std::max(kIntervalMinMs, pause_ms);
+    entry.used_ms = end_ms;
+  }
+  source_.on_picture({job, view->committed_spp, picture->estimated_error(), core_seconds});
+  if (finish) source_.on_finished({job, view->film->Digest()});
+  for (const Done& done : waiting) done(picture);
+}
+
+void PictureService::EvictIdle(int64_t now_ms) {
+  std::erase_if(entries_, [&](const auto& item) {
+    const Entry& entry = item.second;
+    return entry.watchers == 0 && entry.waiting.empty() && !entry.evaluate && !entry.finish &&
+           !entry.wanted && now_ms - entry.used_ms > kIdleKeepMs;
+  });
+}
+
+}  // namespace tessera

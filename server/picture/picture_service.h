@@ -1,0 +1,98 @@
+// Keeps the pictures of jobs up to date in the background, as far as somebody looks at them:
+// nothing is filtered while nobody watches or fetches; with a watcher, filtering takes at most
+// kPreviewShare of the machine, and the rate follows from what a round costs. Latest wins: a round
+// takes whatever has changed since the last one.
+#pragma once
+
+#include <condition_variable>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "core/base/sha256.h"
+#include "server/coordinator/event.h"
+#include "server/picture/picture.h"
+
+namespace tessera {
+
+// Where pictures come from and what they lead to; all callable from the service's thread.
+struct PictureSource {
+  struct JobView {
+    v1::JobSettings settings;
+    int64_t committed_spp = 0;
+    std::shared_ptr<const Film> film;
+  };
+  // null: the job does not exist.
+  std::function<std::unique_ptr<JobView>(JobId)> view;
+  // Folds a tile of a view's film, which others may be writing to.
+  std::function<TileStatistics(const Film&, int64_t tile)> fold_tile;
+  std::function<void(const PictureEvent&)> on_picture;
+  std::function<void(const JobFinishedEvent&)> on_finished;
+};
+
+// Threads: all methods from any thread.
+class PictureService {
+ public:
+  static constexpr double kPreviewShare = 0.15;
+
+  // num_threads >= 1: that filter.
+  PictureService(PictureSource source, int num_threads);
+  ~PictureService();  // Stop
+
+  // From the coordinator's effects; never block.
+  void TileChanged(JobId job, int64_t tile);
+  void Evaluate(JobId job);
+  void Finish(JobId job);
+  void Remove(JobId job);
+
+  void AddWatcher(JobId job);
+  void RemoveWatcher(JobId job);
+
+  // Calls done(picture), on the service's thread or at once, when the picture shows at least
+  // everything that had been merged before the call (wait), or else any moment. null: the job does
+  // not exist any more, or the service stops.
+  using Done = std::function<void(std::shared_ptr<const Picture>)>;
+  void Fetch(JobId job, bool wait, Done done);
+
+  // Ends the thread; waiting fetches get null. Idempotent.
+  void Stop();
+
+ private:
+  struct Entry {
+    std::shared_ptr<Picture> picture;  // null until somebody looks
+    std::set<int64_t> changed;         // tiles, since `picture` took them
+    std::vector<Done> waiting;
+    int watchers = 0;
+    bool wanted = false;  // a fetch that did not wait would like it newer
+    bool evaluate = false;
+    bool finish = false;
+    int64_t not_before_ms = 0;
+    int64_t used_ms = 0;
+  };
+
+  void Run();
+  // The job whose picture is most urgent; 0 = none, and then *sleep_ms is how long to sleep.
+  JobId Choose(int64_t now_ms, int64_t* sleep_ms) const;
+  void RunRound(JobId job);
+  void Abandon(JobId job);
+  // Creates the picture if need be and moves what has changed since the last round to *changed.
+  std::shared_ptr<Picture> TakeChanges(JobId job, const PictureSource::JobView& view,
+                                       std::vector<int64_t>* changed);
+  void EvictIdle(int64_t now_ms);
+
+  const PictureSource source_;
+  const int num_threads_;
+  std::mutex mu_;  // guards all below
+  std::condition_variable wake_;
+  std::map<JobId, Entry> entries_;
+  bool stopping_ = false;
+  std::thread thread_;
+};
+
+}  // namespace tessera

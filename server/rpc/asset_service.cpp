@@ -1,0 +1,123 @@
+#include "server/rpc/asset_service.h"
+
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/limits.h"
+#include "server/rpc/rpc_status.h"
+
+namespace tessera {
+namespace {
+
+class WriteReactor : public grpc::ServerReadReactor<v1::WriteAssetRequest> {
+ public:
+  WriteReactor(AssetStore* store, v1::WriteAssetResponse* response)
+      : store_(store), response_(response) {
+    StartRead(&request_);
+  }
+  void OnReadDone(bool ok) override {
+    if (!ok) return Finish(ToGrpc(begun_ ? absl::OkStatus()
+                                         : absl::InvalidArgumentError("asset: nothing was sent")));
+    if (absl::Status status = Handle(); !status.ok()) return Finish(ToGrpc(status));
+    StartRead(&request_);
+  }
+  void OnDone() override { delete this; }
+
+ private:
+  absl::Status Handle() {
+    if (!begun_) {
+      absl::StatusOr<Sha256Digest> digest = Sha256FromBytes(request_.asset().sha256());
+      if (!digest.ok()) {
+        return absl::InvalidArgumentError(
+            "asset.sha256 of the first message must be 32 bytes long");
+      }
+      digest_ = *digest;
+      size_bytes_ = request_.asset().size_bytes();
+      begun_ = true;
+    }
+    if (request_.chunk().size() > kChunkBytesMax) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("chunk is ", request_.chunk().size(), " bytes: send at most ",
+                       kChunkBytesMax));
+    }
+    absl::StatusOr<int64_t> received =
+        store_->Append(digest_, size_bytes_, request_.offset_bytes(), request_.chunk());
+    if (!received.ok()) return received.status();
+    response_->set_received_bytes(*received);
+    return absl::OkStatus();
+  }
+
+  AssetStore* const store_;
+  v1::WriteAssetResponse* const response_;
+  v1::WriteAssetRequest request_;
+  Sha256Digest digest_{};
+  int64_t size_bytes_ = 0;
+  bool begun_ = false;
+};
+
+class ReadReactor : public grpc::ServerWriteReactor<v1::ReadAssetResponse> {
+ public:
+  ReadReactor(AssetStore* store, const v1::ReadAssetRequest& request)
+      : store_(store), digest_(Sha256FromBytes(request.sha256())), offset_(request.offset_bytes()) {
+    if (!digest_.ok()) {
+      Finish(ToGrpc(absl::InvalidArgumentError("sha256 must be 32 bytes long")));
+    } else {
+      WriteNext();
+    }
+  }
+  void OnWriteDone(bool ok) override { ok ? WriteNext() : Finish(grpc::Status::CANCELLED); }
+  void OnDone() override { delete this; }
+
+ private:
+  void WriteNext() {
+    absl::StatusOr<std::string> bytes = store_->Read(*digest_, offset_, kChunkBytesMax);
+    if (!bytes.ok() || bytes->empty()) return Finish(ToGrpc(bytes.status()));
+    response_.set_offset_bytes(offset_);
+    offset_ += static_cast<int64_t>(bytes->size());
+    response_.set_chunk(*std::move(bytes));
+    StartWrite(&response_);
+  }
+
+  AssetStore* const store_;
+  const absl::StatusOr<Sha256Digest> digest_;
+  int64_t offset_;
+  v1::ReadAssetResponse response_;
+};
+
+}  // namespace
+
+grpc::ServerUnaryReactor* AssetService::FindMissingAssets(
+    grpc::CallbackServerContext* context, const v1::FindMissingAssetsRequest* request,
+    v1::FindMissingAssetsResponse* response) {
+  grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
+  if (request->assets_size() > kAssetsMax) {
+    reactor->Finish(ToGrpc(absl::InvalidArgumentError(
+        absl::StrCat("assets: ask for at most ", kAssetsMax, " at once"))));
+    return reactor;
+  }
+  for (const v1::AssetDigest& asset : request->assets()) {
+    const absl::StatusOr<Sha256Digest> digest = Sha256FromBytes(asset.sha256());
+    if (!digest.ok()) {
+      reactor->Finish(
+          ToGrpc(absl::InvalidArgumentError("assets.sha256 must be 32 bytes long each")));
+      return reactor;
+    }
+    const int64_t received_bytes = store_.ReceivedBytes(*digest);
+    if (store_.Has(*digest)) continue;
+    v1::MissingAsset& missing = *response->add_missing();
+    missing.set_sha256(asset.sha256());
+    missing.set_received_bytes(received_bytes);
+  }
+  reactor->Finish(grpc::Status::OK);
+  return reactor;
+}
+
+grpc::ServerReadReactor<v1::WriteAssetRequest>* AssetService::WriteAsset(
+    grpc::CallbackServerContext*, v1::WriteAssetResponse* response) {
+  return new WriteReactor(&store_, response);
+}
+
+grpc::ServerWriteReactor<v1::ReadAssetResponse>* AssetService::ReadAsset(
+    grpc::CallbackServerContext*, const v1::ReadAssetRequest* request) {
+  return new ReadReactor(&store_, *request);
+}
+
+}  // namespace tessera

@@ -1,0 +1,25 @@
+// tessera.v1.AssetService over an asset store.
+#pragma once
+
+#include "server/store/asset_store.h"
+#include "tessera/v1/asset.grpc.pb.h"
+
+namespace tessera {
+
+class AssetService final : public v1::AssetService::CallbackService {
+ public:
+  explicit AssetService(AssetStore& store) : store_(store) {}
+
+  grpc::ServerUnaryReactor* FindMissingAssets(grpc::CallbackServerContext* context,
+                                              const v1::FindMissingAssetsRequest* request,
+                                              v1::FindMissingAssetsResponse* response) override;
+  grpc::ServerReadReactor<v1::WriteAssetRequest>* WriteAsset(
+      grpc::CallbackServerContext* context, v1::WriteAssetResponse* response) override;
+  grpc::ServerWriteReactor<v1::ReadAssetResponse>* ReadAsset(
+      grpc::CallbackServerContext* context, const v1::ReadAssetRequest* request) override;
+
+ private:
+  AssetStore& store_;
+};
+
+}  // namespace tessera

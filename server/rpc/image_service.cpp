@@ -1,0 +1,159 @@
+#include "server/rpc/image_service.h"
+
+#include <algorithm>
+#include <bit>
+
+#include "core/film/delta_codec.h"
+#include "core/image/layers.h"
+#include "server/coordinator/job_settings.h"
+#include "server/coordinator/limits.h"
+#include "server/rpc/rpc_status.h"
+
+namespace tessera {
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "planes travel little-endian");
+
+class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
+ public:
+  explicit ImageReactor(const v1::GetImageRequest& request) : request_(request) {
+    if (request_.layers().empty()) request_.add_layers("final");
+  }
+
+  void Start(CoordinatorHost& host, PictureService& pictures) {
+    const absl::StatusOr<JobId> id = ParseJobName(request_.job());
+    if (!id.ok()) return Finish(ToGrpc(id.status()));
+    if (request_.layers_size() > static_cast<int>(PictureLayers().size())) {
+      return Finish(ToGrpc(absl::InvalidArgumentError("layers: each may be named once")));
+    }
+    const absl::StatusOr<v1::Job> job =
+        host.Read([&](const Coordinator& c) { return c.GetJob(*id); });
+    if (!job.ok()) return Finish(ToGrpc(job.status()));
+    pictures.Fetch(*id, request_.wait_for_filter(),
+                   [this, &host, id = *id](const std::shared_ptr<const Picture>& picture) {
+                     Send(host, id, picture.get());
+                   });
+  }
+
+  void OnWriteDone(bool ok) override { ok ? WriteNext() : Finish(grpc::Status::CANCELLED); }
+  void OnDone() override { delete this; }
+
+ private:
+  void Send(CoordinatorHost& host, JobId id, const Picture* picture) {
+    const absl::StatusOr<v1::Job> job =
+        host.Read([&](const Coordinator& c) { return c.GetJob(id); });
+    if (!job.ok()) return Finish(ToGrpc(job.status()));
+    if (picture == nullptr) {
+      return Finish(ToGrpc(absl::UnavailableError("the server is stopping: try again later")));
+    }
+    const PixelRect region =
+        request_.has_region() ? RectOf(request_.region()) : RegionOf(job->settings());
+    absl::StatusOr<Image> image =
+        picture->Snapshot(region, {request_.layers().begin(), request_.layers().end()});
+    if (!image.ok()) return Finish(ToGrpc(image.status()));
+    image_ = *std::move(image);
+
+    v1::ImageHeader& header = *response_.mutable_header();
+    *header.mutable_region() = RegionProto(region);
+    header.set_frame_width(job->settings().width());
+    header.set_frame_height(job->settings().height());
+    *header.mutable_revision() = job->revision();
+    header.set_spp(job->progress().spp());
+    for (const std::string& name : request_.layers()) {
+      const PictureLayer* const layer = FindPictureLayer(name);
+      v1::ImageLayer& out = *header.add_layers();
+      out.set_name(name);
+      out.set_is_uint(layer->is_uint);
+      for (const std::string_view channel : layer->channels) {
+        out.add_channels(std::string(channel));
+      }
+    }
+    StartWrite(&response_);
+  }
+
+  void WriteNext() {
+    response_.Clear();
+    while (channel_ < image_.channels.size()) {
+      const ImageChannel& channel = image_.channels[channel_];
+      const void* const values = channel.is_uint
+                                     ? static_cast<const void*>(channel.uints.data())
+                                     : static_cast<const void*>(channel.floats.data());
+      const auto* const bytes = static_cast<const char*>(values);
+      const size_t size = sizeof(float) * static_cast<size_t>(image_.data_window.area());
+      if (offset_ < size) {
+        const size_t count = std::min<size_t>(kChunkBytesMax, size - offset_);
+        response_.set_chunk(bytes + offset_, count);
+        offset_ += count;
+        return StartWrite(&response_);
+      }
+      ++channel_;
+      offset_ = 0;
+    }
+    Finish(grpc::Status::OK);
+  }
+
+  v1::GetImageRequest request_;
+  v1::GetImageResponse response_;
+  Image image_;
+  size_t channel_ = 0;  // of image_, being sent
+  size_t offset_ = 0;   // bytes of it that have been sent
+};
+
+class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
+ public:
+  FilmReactor(CoordinatorHost* host, const std::string& job) : host_(host) {
+    const absl::StatusOr<JobId> id = ParseJobName(job);
+    if (id.ok()) film_ = host_->Read([&](const Coordinator& c) { return c.FilmOf(*id); });
+    if (film_ != nullptr) {
+      WriteNext();
+    } else {
+      Finish(ToGrpc(id.ok() ? absl::NotFoundError(job + " does not exist") : id.status()));
+    }
+  }
+  void OnWriteDone(bool ok) override { ok ? WriteNext() : Finish(grpc::Status::CANCELLED); }
+  void OnDone() override { delete this; }
+
+ private:
+  void WriteNext() {
+    // One tile's nodes at a time: each tile is a consistent set of samples, and so is their union.
+    while (node_ == nodes_.size() && tile_ < film_->grid().num_tiles()) {
+      nodes_ = host_->Read([&](const Coordinator&) { return film_->Nodes(tile_); });
+      node_ = 0;
+      ++tile_;
+    }
+    if (node_ == nodes_.size()) return Finish(grpc::Status::OK);
+    const TileStatistics& statistics = nodes_[node_++];
+    EncodedDelta delta = EncodeDelta(statistics, DeltaEncoding::kPackedZstd);
+    v1::FilmNode& node = *response_.mutable_node();
+    *node.mutable_window() = RegionProto(statistics.window());
+    node.set_sample_begin(statistics.range().begin);
+    node.set_sample_end(statistics.range().end);
+    node.set_encoding(static_cast<uint32_t>(delta.encoding));
+    node.set_payload(std::move(delta.payload));
+    node.set_payload_bytes(delta.payload_bytes);
+    StartWrite(&response_);
+  }
+
+  CoordinatorHost* const host_;
+  std::shared_ptr<const Film> film_;
+  std::vector<TileStatistics> nodes_;  // of tile_ - 1
+  size_t node_ = 0;
+  int64_t tile_ = 0;
+  v1::GetFilmResponse response_;
+};
+
+}  // namespace
+
+grpc::ServerWriteReactor<v1::GetImageResponse>* ImageService::GetImage(
+    grpc::CallbackServerContext*, const v1::GetImageRequest* request) {
+  auto* const reactor = new ImageReactor(*request);
+  reactor->Start(host_, pictures_);
+  return reactor;
+}
+
+grpc::ServerWriteReactor<v1::GetFilmResponse>* ImageService::GetFilm(
+    grpc::CallbackServerContext*, const v1::GetFilmRequest* request) {
+  return new FilmReactor(&host_, request->job());
+}
+
+}  // namespace tessera

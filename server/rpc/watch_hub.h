@@ -1,0 +1,55 @@
+// The watchers of jobs: each gets the latest state of its job, at most one message under way, never
+// more often than it asked for. A slow reader skips states and costs no memory.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <set>
+
+#include <grpcpp/support/server_callback.h>
+
+#include "server/coordinator/event.h"
+#include "tessera/v1/job.pb.h"
+
+namespace tessera {
+
+class WatchReactor;
+
+struct WatchCallbacks {
+  // The job as it is now; false if it does not exist.
+  std::function<bool(JobId, v1::Job*)> get_job;
+  std::function<void(JobId)> added;    // a watcher came
+  std::function<void(JobId)> removed;  // it went
+};
+
+// Threads: all methods from any thread.
+class WatchHub {
+ public:
+  explicit WatchHub(WatchCallbacks callbacks);
+
+  // The reactor of a new watch stream. It deletes itself.
+  grpc::ServerWriteReactor<v1::Job>* Watch(JobId job, const v1::WatchJobRequest& request);
+  // The job has changed, or is gone. Never blocks, takes no lock but its own.
+  void Notify(JobId job);
+  // Sends what is due. Call it every few milliseconds, not under a lock.
+  void Pump();
+  // Ends all streams with UNAVAILABLE; later ones end at once.
+  void Close();
+
+ private:
+  friend class WatchReactor;
+  void Remove(WatchReactor* reactor, JobId job);
+
+  const WatchCallbacks callbacks_;
+  // Pump and Watch hold mu_, then a reactor's, then the coordinator's; Notify, which is called under
+  // the coordinator's lock, takes changed_mu_ alone.
+  std::mutex mu_;  // guards reactors_, closed_
+  std::map<JobId, std::set<WatchReactor*>> reactors_;
+  bool closed_ = false;
+  std::mutex changed_mu_;  // guards changed_
+  std::set<JobId> changed_;
+};
+
+}  // namespace tessera

@@ -1,0 +1,211 @@
+#include "server/rpc/worker_sessions.h"
+
+#include <deque>
+#include <string>
+
+#include <spdlog/spdlog.h>
+
+#include "absl/strings/str_cat.h"
+#include "core/film/delta_codec.h"
+#include "server/coordinator/job_settings.h"
+#include "server/coordinator/limits.h"
+#include "server/rpc/rpc_status.h"
+
+namespace tessera {
+namespace {
+
+constexpr size_t kQueuedMessagesMax = 16384;  // towards one worker that does not read
+
+// Decodes the delta's payload. Errors: INVALID_ARGUMENT.
+absl::StatusOr<DeltaEvent> DecodeEvent(SessionId session, v1::TileDelta* delta) {
+  const v1::Region& window = delta->window();
+  const SampleRange range{delta->sample_begin(), delta->sample_end()};
+  if (window.width() < 1 || window.height() < 1 || window.width() > kTileSizeMaxPx ||
+      window.height() > kTileSizeMaxPx || window.x() < 0 || window.y() < 0 ||
+      window.x() > kFrameSideMaxPx || window.y() > kFrameSideMaxPx) {
+    return absl::InvalidArgumentError("delta: window is impossible");
+  }
+  if (range.begin < 0 || range.end > kSppMax || !range.IsNode()) {
+    return absl::InvalidArgumentError("delta: the sample range is no aligned power of two");
+  }
+  DeltaEvent event{.session = session};
+  event.wire_bytes = static_cast<int64_t>(delta->ByteSizeLong());
+  absl::StatusOr<TileStatistics> tile =
+      DecodeDelta(RectOf(window), range, delta->encoding(), delta->payload());
+  if (!tile.ok()) return tile.status();
+  event.tile = *std::move(tile);
+  delta->clear_payload();
+  event.delta = std::move(*delta);
+  return event;
+}
+
+}  // namespace
+
+class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage> {
+ public:
+  WorkReactor(WorkerSessions* sessions, SessionId session)
+      : sessions_(sessions), session_(session) {}
+
+  void Begin() { StartRead(&incoming_); }
+
+  void Send(const v1::CoordinatorMessage& message) {
+    std::lock_guard lock(mu_);
+    if (ending_) return;
+    if (outgoing_.size() >= kQueuedMessagesMax) {
+      EndLocked(absl::ResourceExhaustedError("the worker does not read its messages"));
+      return;
+    }
+    outgoing_.push_back(message);
+    if (!writing_) WriteLocked();
+  }
+
+  void End(const absl::Status& status) {
+    std::lock_guard lock(mu_);
+    EndLocked(status);
+  }
+
+  void OnReadDone(bool ok) override {
+    if (!ok) return End(absl::OkStatus());
+    const absl::Status status = Handle(incoming_);
+    if (!status.ok()) return End(status);
+    StartRead(&incoming_);
+  }
+  void OnWriteDone(bool ok) override {
+    std::lock_guard lock(mu_);
+    writing_ = false;
+    outgoing_.pop_front();
+    if (!ok) outgoing_.clear();
+    if (!outgoing_.empty()) {
+      WriteLocked();
+    } else if (ending_) {
+      FinishLocked();
+    }
+  }
+  void OnCancel() override {
+    std::lock_guard lock(mu_);
+    cancelled_ = true;
+    EndLocked(absl::CancelledError("the stream was cancelled"));
+  }
+  void OnDone() override {
+    if (greeted_) sessions_->post_(WorkerGoneEvent{session_});
+    sessions_->Remove(session_);
+    delete this;
+  }
+
+ private:
+  // Turns a message into an event. A status that is not OK ends the stream.
+  absl::Status Handle(v1::WorkerMessage& message) {
+    if (greeted_ != (message.message_case() != v1::WorkerMessage::kHello)) {
+      return absl::InvalidArgumentError("the first message, and no other, must be hello");
+    }
+    switch (message.message_case()) {
+      case v1::WorkerMessage::kHello: {
+        greeted_ = true;
+        const v1::Hello& hello = message.hello();
+        spdlog::info("session={} worker connected host={} process={} threads={}", session_,
+                     hello.host().substr(0, 256), hello.process_id(), hello.threads());
+        sessions_->post_(WorkerConnectedEvent{session_, hello});
+        break;
+      }
+      case v1::WorkerMessage::kDelta: {
+        absl::StatusOr<DeltaEvent> event = DecodeEvent(session_, message.mutable_delta());
+        if (!event.ok()) return event.status();
+        sessions_->post_(*std::move(event));
+        break;
+      }
+      case v1::WorkerMessage::kHeartbeat:
+        sessions_->post_(HeartbeatEvent{
+            session_, {message.heartbeat().leases().begin(), message.heartbeat().leases().end()}});
+        break;
+      case v1::WorkerMessage::kDecline:
+        sessions_->post_(DeclineEvent{session_, message.decline()});
+        break;
+      case v1::WorkerMessage::kSceneReady:
+        sessions_->post_(SceneReadyEvent{session_, message.scene_ready()});
+        break;
+      case v1::WorkerMessage::kSceneFailure:
+        sessions_->post_(SceneFailureEvent{session_, message.scene_failure()});
+        break;
+      case v1::WorkerMessage::kDrain:
+        sessions_->post_(DrainEvent{session_});
+        break;
+      case v1::WorkerMessage::MESSAGE_NOT_SET:
+        return absl::InvalidArgumentError("an empty message, or one of another version");
+    }
+    return absl::OkStatus();
+  }
+
+  void WriteLocked() {
+    writing_ = true;
+    StartWrite(&outgoing_.front());
+  }
+  // Ends once the message under way is out; drops those that wait.
+  void EndLocked(const absl::Status& status) {
+    if (ending_) return;
+    ending_ = true;
+    status_ = status;
+    if (outgoing_.size() > 1) outgoing_.resize(1);
+    if (!writing_) FinishLocked();
+  }
+  void FinishLocked() {
+    if (finished_) return;
+    finished_ = true;
+    if (!status_.ok() && !cancelled_) {
+      spdlog::warn("session={} closed: {}", session_, std::string(status_.message()));
+    }
+    Finish(ToGrpc(status_));
+  }
+
+  WorkerSessions* const sessions_;
+  const SessionId session_;
+  v1::WorkerMessage incoming_;
+  bool greeted_ = false;  // reading side only
+
+  std::mutex mu_;  // guards all below
+  std::deque<v1::CoordinatorMessage> outgoing_;  // front: being written, if writing_
+  absl::Status status_;
+  bool writing_ = false;
+  bool cancelled_ = false;
+  bool ending_ = false;
+  bool finished_ = false;
+};
+
+grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* WorkerSessions::Accept() {
+  std::lock_guard lock(mu_);
+  const SessionId session = next_session_++;
+  auto* const reactor = new WorkReactor(this, session);
+  reactors_[session] = reactor;
+  if (closed_) {
+    reactor->End(absl::UnavailableError("the server is stopping"));
+  } else {
+    reactor->Begin();
+  }
+  return reactor;
+}
+
+void WorkerSessions::Send(SessionId session, const v1::CoordinatorMessage& message) {
+  std::lock_guard lock(mu_);
+  const auto it = reactors_.find(session);
+  if (it != reactors_.end()) it->second->Send(message);
+}
+
+void WorkerSessions::End(SessionId session, const absl::Status& status) {
+  std::lock_guard lock(mu_);
+  const auto it = reactors_.find(session);
+  if (it != reactors_.end()) it->second->End(status);
+}
+
+void WorkerSessions::Close() {
+  std::lock_guard lock(mu_);
+  closed_ = true;
+  for (const auto& [session, reactor] : reactors_) {
+    reactor->End(absl::UnavailableError("the server is stopping"));
+  }
+}
+
+void WorkerSessions::Remove(SessionId session) {
+  std::lock_guard lock(mu_);
+  reactors_.erase(session);
+}
+
+}  // namespace tessera

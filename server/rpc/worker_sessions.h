@@ -1,0 +1,46 @@
+// The streams of workers: translates their messages to events and effects to messages. Deltas are
+// decoded here, on the stream's own thread, outside the coordinator's lock.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <mutex>
+
+#include <grpcpp/support/server_callback.h>
+
+#include "absl/status/status.h"
+#include "server/coordinator/event.h"
+#include "tessera/v1/worker.pb.h"
+
+namespace tessera {
+
+class WorkReactor;
+
+// Threads: all methods from any thread.
+class WorkerSessions {
+ public:
+  using Post = std::function<void(Event)>;
+  explicit WorkerSessions(Post post) : post_(std::move(post)) {}
+
+  // The reactor of a new stream. It deletes itself.
+  grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Accept();
+
+  // Effects; never block. Unknown sessions are ignored: their stream has ended.
+  void Send(SessionId session, const v1::CoordinatorMessage& message);
+  void End(SessionId session, const absl::Status& status);
+  // Ends all streams with UNAVAILABLE; later ones end at once.
+  void Close();
+
+ private:
+  friend class WorkReactor;
+  void Remove(SessionId session);
+
+  const Post post_;
+  std::mutex mu_;  // guards all below
+  std::map<SessionId, WorkReactor*> reactors_;
+  SessionId next_session_ = 1;
+  bool closed_ = false;
+};
+
+}  // namespace tessera

@@ -1,0 +1,315 @@
+#include "server/service.h"
+
+#include <algorithm>
+#include <atomic>
+#include <thread>
+
+#include <grpcpp/grpcpp.h>
+#include <grpcpp/health_check_service_interface.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
+#include "core/base/version.h"
+#include "server/coordinator/limits.h"
+#include "server/coordinator_host.h"
+#include "server/http/http_server.h"
+#include "server/job_saver.h"
+#include "server/picture/picture_service.h"
+#include "server/rpc/asset_service.h"
+#include "server/rpc/image_service.h"
+#include "server/rpc/job_service.h"
+#include "server/rpc/watch_hub.h"
+#include "server/rpc/worker_service.h"
+#include "server/rpc/worker_sessions.h"
+#include "server/store/data_dir.h"
+
+namespace tessera {
+namespace {
+
+constexpr std::chrono::milliseconds kPumpInterval{20};
+constexpr int kPumpsPerTick = 5;
+constexpr int kPingIntervalMinMs = 5000;
+constexpr int kKeepaliveMs = 20000;
+constexpr int kKeepaliveTimeoutMs = 10000;
+constexpr std::chrono::milliseconds kShutdownGrace{1000};
+
+bool IsLoopback(const std::string& address) {
+  return absl::StartsWith(address, "127.") || absl::StartsWith(address, "localhost:") ||
+         absl::StartsWith(address, "[::1]:") || absl::StartsWith(address, "unix:");
+}
+
+absl::Status CheckOptions(const ServiceOptions& options) {
+  for (const std::string& address : {options.listen, options.http_listen}) {
+    if (!address.empty() && !IsLoopback(address) && !options.insecure) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "plaintext on ", address, " could be read by anyone: listen on 127.0.0.1, or say "
+          "--insecure if the network is yours"));
+    }
+  }
+  if (options.tile_size < 1 || options.tile_size > kTileSizeMaxPx) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("tile_size is ", options.tile_size, ": give 1 to ", kTileSizeMaxPx));
+  }
+  if (options.data_bytes_max < 0) {
+    return absl::InvalidArgumentError("--quota is negative: give bytes, or 0 for no limit");
+  }
+  if (options.lease_ttl.count() < 100 || options.lease_ttl.count() > 3600000) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--lease-ttl is ", options.lease_ttl.count(), " ms: give 100 ms to an hour"));
+  }
+  if (options.filter_threads < 0 || options.filter_threads > 1024) {
+    return absl::InvalidArgumentError("--filter-threads: give 1 to 1024, or 0 for all");
+  }
+  return absl::OkStatus();
+}
+
+// Half of the machine's memory.
+int64_t FilmBytesMax() {
+  return int64_t{sysconf(_SC_PHYS_PAGES)} * sysconf(_SC_PAGESIZE) / 2;
+}
+
+}  // namespace
+
+class Service::Impl : public EffectSink {
+ public:
+  absl::Status Start(const ServiceOptions& options);
+  void Shutdown();
+  void Apply(const Effect& effect) override;
+
+  int port_ = 0;
+  std::unique_ptr<grpc::Server> server_;
+  std::unique_ptr<HttpServer> http_;
+
+ private:
+  absl::Status OpenStore(const ServiceOptions& options);
+  absl::Status Restore();
+  void MakeServices(const ServiceOptions& options);
+  absl::Status Listen(const ServiceOptions& options);
+  PictureSource MakePictureSource();
+
+  void On(const SendEffect& e) { sessions_->Send(e.session, e.message); }
+  void On(const CloseSessionEffect& e) { sessions_->End(e.session, e.status); }
+  void On(const JobChangedEffect& e) { watchers_->Notify(e.job); }
+  void On(const TileChangedEffect& e) { pictures_->TileChanged(e.job, e.tile); }
+  void On(const SaveJobEffect& e) { saver_->Save(e.job, e.with_film); }
+  void On(const RemoveJobEffect& e) {
+    saver_->Remove(e.job);
+    pictures_->Remove(e.job);
+    watchers_->Notify(e.job);
+  }
+  void On(const EvaluatePictureEffect& e) { pictures_->Evaluate(e.job); }
+  void On(const FinishJobEffect& e) { pictures_->Finish(e.job); }
+
+  // Declared in the order in which they are made; destroyed in reverse.
+  std::unique_ptr<DataDir> data_dir_;
+  std::unique_ptr<AssetStore> assets_;
+  std::unique_ptr<Catalogue> catalogue_;  // null without a data_dir
+  std::unique_ptr<FilmStore> films_;      // null without a data_dir
+  CoordinatorConfig config_;
+  std::unique_ptr<JobSaver> saver_;
+  std::unique_ptr<WorkerSessions> sessions_;
+  std::unique_ptr<WatchHub> watchers_;
+  std::unique_ptr<CoordinatorHost> host_;
+  std::unique_ptr<PictureService> pictures_;
+  std::unique_ptr<JobService> job_service_;
+  std::unique_ptr<AssetService> asset_service_;
+  std::unique_ptr<ImageService> image_service_;
+  std::unique_ptr<WorkerService> worker_service_;
+  std::atomic<bool> stopping_{false};
+  std::thread pump_;
+};
+
+void Service::Impl::Apply(const Effect& effect) {
+  std::visit([this](const auto& e) { On(e); }, effect);
+}
+
+absl::Status Service::Impl::OpenStore(const ServiceOptions& options) {
+  if (!options.data_dir.empty()) {
+    absl::StatusOr<std::unique_ptr<DataDir>> data_dir = DataDir::Open(options.data_dir);
+    if (!data_dir.ok()) return data_dir.status();
+    data_dir_ = *std::move(data_dir);
+    auto catalogue = Catalogue::Open(data_dir_->Path("jobs.sqlite"));
+    if (!catalogue.ok()) return catalogue.status();
+    catalogue_ = *std::move(catalogue);
+    auto films = FilmStore::Open(data_dir_->Path("films"));
+    if (!films.ok()) return films.status();
+    films_ = *std::move(films);
+    const absl::StatusOr<uint64_t> incarnation = catalogue_->NextIncarnation();
+    if (!incarnation.ok()) return incarnation.status();
+    config_.incarnation = *incarnation;
+  } else {
+    config_.incarnation = static_cast<uint64_t>(Now().unix_ms);
+  }
+  auto assets =
+      AssetStore::Open(data_dir_ ? data_dir_->Path("assets") : "", options.data_bytes_max);
+  if (!assets.ok()) return assets.status();
+  assets_ = *std::move(assets);
+  return absl::OkStatus();
+}
+
+PictureSource Service::Impl::MakePictureSource() {
+  PictureSource source;
+  source.view = [this](JobId job) {
+    return host_->Read([&](const Coordinator& c) -> std::unique_ptr<PictureSource::JobView> {
+      const absl::StatusOr<v1::Job> record = c.GetJob(job);
+      if (!record.ok()) return nullptr;
+      return std::make_unique<PictureSource::JobView>(PictureSource::JobView{
+          record->settings(), record->progress().committed_spp(), c.FilmOf(job)});
+    });
+  };
+  source.fold_tile = [this](const Film& film, int64_t tile) {
+    return host_->Read([&](const Coordinator&) { return film.Fold(tile); });
+  };
+  source.on_picture = [this](const PictureEvent& event) { host_->Post(event); };
+  source.on_finished = [this](const JobFinishedEvent& event) {
+    spdlog::info("job={} finished digest={}", event.job, ToHex(event.digest));
+    host_->Post(event);
+  };
+  return source;
+}
+
+void Service::Impl::MakeServices(const ServiceOptions& options) {
+  config_.version = kVersion;
+  config_.defaults = {.tile_size = options.tile_size, .denoisers = DenoiserNames()};
+  config_.lease_ttl_ms = options.lease_ttl.count();
+  config_.film_bytes_max = FilmBytesMax();
+  saver_ = std::make_unique<JobSaver>(catalogue_.get(), films_.get(), assets_.get());
+  sessions_ = std::make_unique<WorkerSessions>([this](Event event) {
+    const absl::Status status = host_->Post(std::move(event)).status;
+    if (!status.ok()) spdlog::debug("worker event: {}", status.ToString());
+  });
+  watchers_ = std::make_unique<WatchHub>(WatchCallbacks{
+      .get_job =
+          [this](JobId job, v1::Job* out) {
+            absl::StatusOr<v1::Job> record =
+                host_->Read([&](const Coordinator& c) { return c.GetJob(job); });
+            if (!record.ok()) return false;
+            *out = *std::move(record);
+            return true;
+          },
+      .added = [this](JobId job) { pictures_->AddWatcher(job); },
+      .removed = [this](JobId job) { pictures_->RemoveWatcher(job); }});
+  host_ = std::make_unique<CoordinatorHost>(config_, *this);
+  const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  pictures_ = std::make_unique<PictureService>(
+      MakePictureSource(), options.filter_threads > 0 ? options.filter_threads : cores);
+  job_service_ =
+      std::make_unique<JobService>(*host_, *assets_, *watchers_, config_.defaults,
+                                   [this](JobId job) { return saver_->SaveNow(job); });
+  asset_service_ = std::make_unique<AssetService>(*assets_);
+  image_service_ = std::make_unique<ImageService>(*host_, *pictures_);
+  worker_service_ = std::make_unique<WorkerService>(*host_, *sessions_);
+  saver_->Start(host_.get());
+}
+
+absl::Status Service::Impl::Restore() {
+  if (catalogue_ == nullptr) return absl::OkStatus();
+  absl::StatusOr<std::vector<CatalogueRow>> rows = catalogue_->ReadAll();
+  if (!rows.ok()) return rows.status();
+  for (CatalogueRow& row : *rows) {
+    RestoreJobEvent event{.job = {}, .request_id = row.request_id, .film = nullptr};
+    if (!event.job.ParseFromString(row.record)) {
+      spdlog::error("job={} its record is damaged: left out", row.job);
+      continue;
+    }
+    const v1::JobSettings& settings = event.job.settings();
+    auto film = films_->Load(row.job, TileGrid(RegionOf(settings), settings.tile_size()));
+    if (film.ok()) event.film = *std::move(film);
+    std::vector<Sha256Digest> digests;
+    for (const v1::AssetRef& asset : settings.assets()) {
+      digests.push_back(*Sha256FromBytes(asset.sha256()));
+    }
+    absl::Status status = assets_->Reference(row.job, digests);
+    if (status.ok()) status = host_->Post(std::move(event)).status;
+    if (!status.ok()) spdlog::error("job={} is left out: {}", row.job, status.ToString());
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Service::Impl::Listen(const ServiceOptions& options) {
+  grpc::EnableDefaultHealthCheckService(true);
+  grpc::ServerBuilder builder;
+  builder.SetMaxReceiveMessageSize(kMessageBytesMax);
+  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS,
+                             kPingIntervalMinMs);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kKeepaliveMs);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, kKeepaliveTimeoutMs);
+  if (!options.listen.empty()) {
+    builder.AddListeningPort(options.listen, grpc::InsecureServerCredentials(), &port_);
+  }
+  builder.RegisterService(job_service_.get());
+  builder.RegisterService(asset_service_.get());
+  builder.RegisterService(image_service_.get());
+  builder.RegisterService(worker_service_.get());
+  server_ = builder.BuildAndStart();
+  if (server_ == nullptr || (!options.listen.empty() && port_ == 0)) {
+    return absl::UnavailableError(absl::StrCat(
+        "cannot listen on ", options.listen, ": the address is in use or not this machine's; "
+        "choose another --listen"));
+  }
+  if (options.http_listen.empty()) return absl::OkStatus();
+  absl::StatusOr<std::unique_ptr<HttpServer>> http =
+      HttpServer::Start(options.http_listen, *host_, *pictures_);
+  if (!http.ok()) return http.status();
+  http_ = *std::move(http);
+  return absl::OkStatus();
+}
+
+absl::Status Service::Impl::Start(const ServiceOptions& options) {
+  if (absl::Status status = CheckOptions(options); !status.ok()) return status;
+  if (absl::Status status = OpenStore(options); !status.ok()) return status;
+  MakeServices(options);
+  if (absl::Status status = Restore(); !status.ok()) return status;
+  if (absl::Status status = Listen(options); !status.ok()) return status;
+  pump_ = std::thread([this] {
+    for (int i = 0; !stopping_; ++i) {
+      std::this_thread::sleep_for(kPumpInterval);
+      watchers_->Pump();
+      if (i % kPumpsPerTick == 0) host_->Post(TickEvent{});
+    }
+  });
+  return absl::OkStatus();
+}
+
+void Service::Impl::Shutdown() {
+  if (stopping_.exchange(true)) return;
+  if (pump_.joinable()) pump_.join();
+  if (http_) http_->Stop();
+  if (watchers_) watchers_->Close();
+  if (sessions_) sessions_->Close();
+  if (pictures_) pictures_->Stop();
+  if (server_) {
+    server_->Shutdown(std::chrono::system_clock::now() + kShutdownGrace);
+    server_->Wait();
+  }
+  if (saver_) saver_->Stop();
+}
+
+absl::StatusOr<std::unique_ptr<Service>> Service::Start(const ServiceOptions& options) {
+  auto impl = std::make_unique<Impl>();
+  if (absl::Status status = impl->Start(options); !status.ok()) {
+    impl->Shutdown();
+    return status;
+  }
+  return std::unique_ptr<Service>(new Service(std::move(impl)));
+}
+
+Service::Service(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+Service::~Service() { Shutdown(); }
+
+int Service::port() const { return impl_->port_; }
+int Service::http_port() const { return impl_->http_ ? impl_->http_->port() : 0; }
+
+std::shared_ptr<grpc::Channel> Service::InProcessChannel() {
+  grpc::ChannelArguments arguments;
+  arguments.SetMaxReceiveMessageSize(kMessageBytesMax);
+  return impl_->server_->InProcessChannel(arguments);
+}
+
+void Service::Shutdown() { impl_->Shutdown(); }
+
+}  // namespace tessera

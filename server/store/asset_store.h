@@ -1,0 +1,90 @@
+// Content-addressed files: on disk (temporary name, then renamed once the SHA-256 matches) or in
+// memory. Uploads resume, also after a restart. Files that no job needs make room for new ones when
+// the quota is reached.
+// Threads: all methods from any thread.
+#pragma once
+
+#include <cstdint>
+#include <list>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "core/base/sha256.h"
+
+namespace tessera {
+
+class AssetStore {
+ public:
+  // dir: empty = in memory; else created if need be. bytes_max: 0 = unlimited.
+  // Errors: PERMISSION_DENIED, INVALID_ARGUMENT naming the folder.
+  static absl::StatusOr<std::unique_ptr<AssetStore>> Open(const std::string& dir,
+                                                          int64_t bytes_max);
+  ~AssetStore();
+
+  bool Has(const Sha256Digest& digest) const;
+  // Bytes of an upload that is under way, 0 if there is none. Keeps the asset from being dropped
+  // for lack of room before its job comes.
+  int64_t ReceivedBytes(const Sha256Digest& digest);
+  // Appends `chunk` at `offset`; bytes that are there already are skipped. Returns how many bytes
+  // the asset has now; it exists once they are size_bytes.
+  // Errors: OUT_OF_RANGE        offset is beyond what has come: resume from there
+  //         INVALID_ARGUMENT    more bytes than size_bytes
+  //         DATA_LOSS           the SHA-256 does not match; the upload is dropped
+  //         RESOURCE_EXHAUSTED  the quota or the disk is full
+  absl::StatusOr<int64_t> Append(const Sha256Digest& digest, int64_t size_bytes, int64_t offset,
+                                 const std::string& chunk);
+  // At most `bytes_max` bytes from `offset`; empty at the end.
+  // Errors: NOT_FOUND, OUT_OF_RANGE.
+  absl::StatusOr<std::string> Read(const Sha256Digest& digest, int64_t offset,
+                                   int64_t bytes_max) const;
+  // Errors: FAILED_PRECONDITION naming what is missing.
+  absl::Status CheckPresent(const std::vector<Sha256Digest>& digests) const;
+  // Keeps the assets while `job` lives. Errors: as CheckPresent.
+  absl::Status Reference(uint64_t job, const std::vector<Sha256Digest>& digests);
+  // Drops the job's references, and assets that no other job needs.
+  void Release(uint64_t job);
+
+  int64_t bytes() const;
+
+ private:
+  struct Asset {
+    int64_t size_bytes = 0;
+    int64_t use = 0;  // order of last use
+    int references = 0;
+    std::shared_ptr<const std::string> content{};  // in memory; shared with readers
+  };
+  struct Upload {
+    int64_t received_bytes = 0;
+    int64_t use = 0;
+    std::unique_ptr<Sha256> hash;  // of what has come; null = to be read from the file again
+    std::string content;           // in memory
+  };
+
+  AssetStore(std::string dir, int64_t bytes_max) : dir_(std::move(dir)), bytes_max_(bytes_max) {}
+  absl::Status Scan();
+  std::string PathOf(const Sha256Digest& digest) const;
+  std::string PartPathOf(const Sha256Digest& digest) const;
+  absl::Status CheckPresentLocked(const std::vector<Sha256Digest>& digests) const;
+  absl::Status MakeRoom(int64_t bytes, const Sha256Digest& keep);
+  void Drop(const Sha256Digest& digest);
+  void DropUpload(const Sha256Digest& digest);
+  absl::Status Write(const Sha256Digest& digest, Upload& upload, const char* data, size_t size);
+  absl::Status Complete(const Sha256Digest& digest, Upload& upload);
+
+  const std::string dir_;
+  const int64_t bytes_max_;
+  mutable std::mutex mu_;  // guards all below
+  std::map<Sha256Digest, Asset> assets_;
+  std::map<Sha256Digest, Upload> uploads_;
+  std::map<uint64_t, std::vector<Sha256Digest>> references_;
+  int64_t bytes_ = 0;
+  int64_t next_use_ = 1;
+};
+
+}  // namespace tessera

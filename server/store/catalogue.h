@@ -1,0 +1,48 @@
+// The job catalogue: one SQLite file (WAL), one row a job.
+// Threads: all methods from any thread.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+
+struct sqlite3;
+
+namespace tessera {
+
+struct CatalogueRow {
+  uint64_t job = 0;
+  std::string request_id;
+  std::string record;  // a serialised tessera.v1.Job
+};
+
+class Catalogue {
+ public:
+  // Opens or creates the file. Errors: INTERNAL naming the file and SQLite's reason.
+  static absl::StatusOr<std::unique_ptr<Catalogue>> Open(const std::string& path);
+  ~Catalogue();
+
+  absl::Status Put(const CatalogueRow& row);
+  absl::Status Remove(uint64_t job);
+  absl::StatusOr<std::vector<CatalogueRow>> ReadAll();
+  // Counts the runs of the server on this catalogue, starting with 1.
+  absl::StatusOr<uint64_t> NextIncarnation();
+  // The largest id that any job ever had; ids are not used twice.
+  absl::StatusOr<uint64_t> LastJob();
+
+ private:
+  explicit Catalogue(std::string path) : path_(std::move(path)) {}
+  absl::Status Execute(const char* sql);
+  absl::Status Error(const char* what) const;
+
+  const std::string path_;
+  std::mutex mu_;  // guards db_
+  sqlite3* db_ = nullptr;
+};
+
+}  // namespace tessera
