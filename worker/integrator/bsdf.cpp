@@ -77,7 +77,7 @@ BsdfValue Bsdf::Evaluate(const V3f& wi) const {
 BsdfValue Bsdf::EvaluateReflection(const V3f& wi) const {
   BsdfValue value;
   if (p_diffuse_ > 0) {
-    const float cosine = wi.z * kInvPi;
+    const float cosine = wi.z * kInvPiFloat;
     value.f_cos = diffuse_ * (diffuse_share_ * (1 - CoatAlbedo(wi.z)) * cosine);
     value.pdf = p_diffuse_ * cosine;
   }

@@ -62,7 +62,7 @@ V2f EnvironmentSampler::UvOfDirection(const V3f& d) const {
   // Into the map's frame: turned back about +y; its centre column looks along +x.
   const float x = rotate_cos_ * d.x - rotate_sin_ * d.z;
   const float z = rotate_sin_ * d.x + rotate_cos_ * d.z;
-  return {Clamp01(ArcTan2(z, x) * (1 / kTwoPi) + 0.5f), Clamp01(ArcCos(d.y) * kInvPi)};
+  return {Clamp01(ArcTan2(z, x) * (1 / kTwoPiFloat) + 0.5f), Clamp01(ArcCos(d.y) * kInvPiFloat)};
 }
 
 V3f EnvironmentSampler::Radiance(const V3f& direction) const {
@@ -85,7 +85,7 @@ DirectionSample EnvironmentSampler::Sample(const V3f& normal, const V2f& u) cons
     const SinCos<float> phi = SinCosTurns(u.x);
     const float r = std::sqrt(u.y), cosine = std::sqrt(1 - u.y);
     const V3f local(r * phi.cos, r * phi.sin, cosine);
-    return {Onb(normal).ToWorld(local), cosine * kInvPi};
+    return {Onb(normal).ToWorld(local), cosine * kInvPiFloat};
   }
   float uy = u.y, ux = u.x;
   const int y = SampleRunningSums(row_sums_, &uy);
@@ -97,17 +97,17 @@ DirectionSample EnvironmentSampler::Sample(const V3f& normal, const V2f& u) cons
   const SinCos<float> phi = SinCosTurns((static_cast<float>(x) + ux) / light_.width - 0.5f);
   const float mx = sine * phi.cos, mz = sine * phi.sin;
   const V3f direction(rotate_cos_ * mx + rotate_sin_ * mz, cosine, rotate_cos_ * mz - rotate_sin_ * mx);
-  const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPi / light_.width;
+  const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPiFloat / light_.width;
   return {direction, (row_sums_[y + 1] - row_sums_[y]) * (columns[x + 1] - columns[x]) / solid_angle};
 }
 
 float EnvironmentSampler::Pdf(const V3f& normal, const V3f& direction) const {
-  if (uniform_) return std::max(0.f, normal.dot(direction)) * kInvPi;
+  if (uniform_) return std::max(0.f, normal.dot(direction)) * kInvPiFloat;
   const V2f uv = UvOfDirection(direction);
   const int x = std::min(static_cast<int>(uv.x * light_.width), light_.width - 1);
   const int y = std::min(static_cast<int>(uv.y * light_.height), light_.height - 1);
   const float* columns = &column_sums_[size_t(y) * (light_.width + 1)];
-  const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPi / light_.width;
+  const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPiFloat / light_.width;
   return (row_sums_[y + 1] - row_sums_[y]) * (columns[x + 1] - columns[x]) / solid_angle;
 }
 

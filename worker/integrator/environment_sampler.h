@@ -25,7 +25,7 @@ class EnvironmentSampler {
   V3f Radiance(const V3f& direction) const;
   // Whether there is anything but black.
   bool emits() const { return irradiance_ > 0; }
-  // Integral of the luminance over the sphere, W/(m^2 sr) * sr.
+  // Integral of the luminance over the sphere, W/m^2; of a map to about one part in its height.
   double irradiance() const { return irradiance_; }
 
   // `normal`: of the receiver, unit; used by the uniform sky only.

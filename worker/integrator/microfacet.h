@@ -22,7 +22,7 @@ inline float AlphaOfRoughness(float roughness) { return std::max(roughness * rou
 inline float GgxD(const Imath::V3f& h, float alpha) {
   const float a2 = alpha * alpha;
   const float t = (h.x * h.x + h.y * h.y) / a2 + h.z * h.z;
-  return 1 / (kPi * a2 * t * t);
+  return 1 / (kPiFloat * a2 * t * t);
 }
 
 // Smith's Lambda.

@@ -11,9 +11,9 @@
 
 namespace tessera {
 
-inline constexpr float kPi = 3.14159265358979f;
-inline constexpr float kInvPi = 0.318309886183791f;
-inline constexpr float kTwoPi = 6.28318530717959f;
+inline constexpr float kPiFloat = 3.14159265358979f;
+inline constexpr float kInvPiFloat = 0.318309886183791f;
+inline constexpr float kTwoPiFloat = 6.28318530717959f;
 inline constexpr double kPiDouble = 3.14159265358979323846;
 
 template <typename Real>
@@ -61,22 +61,22 @@ inline float ArcTan2(float y, float x) {
   // atan(t) = pi/4 + atan((t - 1) / (t + 1)) brings t below tan(pi/8).
   float angle = 0;
   if (t > 0.41421356f) {
-    angle = kPi / 4;
+    angle = kPiFloat / 4;
     t = (t - 1) / (t + 1);
   }
   const float s = t * t;
   const float series = s * (-1.f / 3 + s * (1.f / 5 + s * (-1.f / 7 + s * (1.f / 9 + s * (-1.f / 11 +
                        s * (1.f / 13 - s * (1.f / 15)))))));
   angle += t + t * series;
-  if (ay > ax) angle = kPi / 2 - angle;
-  if (x < 0) angle = kPi - angle;
+  if (ay > ax) angle = kPiFloat / 2 - angle;
+  if (x < 0) angle = kPiFloat - angle;
   return y < 0 ? -angle : angle;
 }
 
 // Angle in [0, pi] whose cosine is `cosine` (clamped to [-1, 1]); exact near both ends.
 inline float ArcCos(float cosine) {
   if (cosine >= 1) return 0;
-  if (!(cosine > -1)) return kPi;
+  if (!(cosine > -1)) return kPiFloat;
   return 2 * ArcTan2(std::sqrt(1 - cosine), std::sqrt(1 + cosine));
 }
 

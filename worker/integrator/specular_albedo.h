@@ -25,8 +25,10 @@ class SpecularAlbedoTable {
  private:
   static constexpr int kSize = 32;
   SpecularAlbedoTable();
+  static SpecularAlbedo IntegrateRow(const SpecularAlbedo* row);
 
-  std::vector<SpecularAlbedo> cells_;     // [roughness][mu]
+  // [roughness][sqrt(mu)]: the root spreads the nodes where the albedo bends, at grazing angles.
+  std::vector<SpecularAlbedo> cells_;
   std::vector<SpecularAlbedo> averages_;  // [roughness]
 };
 

@@ -1,0 +1,285 @@
+#include "worker/integrator/bsdf.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include "worker/integrator/portable_math.h"
+#include "worker/integrator/sobol_sampler.h"
+#include "worker/integrator/specular_albedo.h"
+
+namespace tessera {
+namespace {
+
+using Imath::V2f;
+using Imath::V3f;
+
+V3f DirectionAt(float cosine, float turns) {
+  const SinCos<float> phi = SinCosTurns(turns);
+  const float sine = std::sqrt(1 - cosine * cosine);
+  return {sine * phi.cos, sine * phi.sin, cosine};
+}
+
+BsdfParameters White(float metallic, float roughness, float transmission, float ior = 1.5f) {
+  BsdfParameters p;
+  p.metallic = metallic;
+  p.roughness = roughness;
+  p.transmission = transmission;
+  p.ior = ior;
+  return p;
+}
+
+std::vector<BsdfParameters> AllKinds(float roughness) {
+  std::vector<BsdfParameters> kinds = {White(0, roughness, 0, 1), White(0, roughness, 0),
+                                       White(1, roughness, 0), White(0.5f, roughness, 0),
+                                       White(0, roughness, 1), White(0.3f, roughness, 0.6f)};
+  for (bool entering : {true, false}) {
+    BsdfParameters glass = White(0, roughness, 1);
+    glass.thin_walled = false;
+    glass.entering = entering;
+    kinds.push_back(glass);
+    glass.transmission = 0.5f;
+    kinds.push_back(glass);
+  }
+  return kinds;
+}
+
+std::string Describe(const BsdfParameters& p, float cosine) {
+  return "metallic " + std::to_string(p.metallic) + " roughness " + std::to_string(p.roughness) +
+         " transmission " + std::to_string(p.transmission) + " ior " + std::to_string(p.ior) +
+         (p.thin_walled ? " thin" : p.entering ? " entering" : " leaving") + " cos " +
+         std::to_string(cosine);
+}
+
+// Albedo under uniform light by sampling, with its standard error over independent scrambles.
+struct Furnace {
+  double mean = 0;
+  double standard_error = 0;
+};
+Furnace MeasureFurnace(const Bsdf& bsdf, int points) {
+  constexpr int kRepeats = 8;
+  double sum = 0, sum2 = 0;
+  for (int repeat = 0; repeat < kRepeats; ++repeat) {
+    double albedo = 0;
+    for (int i = 0; i < points; ++i) {
+      const SobolSampler sampler(static_cast<uint64_t>(repeat), 0, 0, 2 * i);
+      BsdfSample s;
+      if (bsdf.Sample(sampler.Get2D(0).x, sampler.Get2D(1), &s)) albedo += s.weight.x;
+    }
+    albedo /= points;
+    sum += albedo;
+    sum2 += albedo * albedo;
+  }
+  const double mean = sum / kRepeats;
+  return {mean, std::sqrt(std::max(0.0, sum2 / kRepeats - mean * mean) / (kRepeats - 1))};
+}
+
+TEST(BsdfTest, WhiteFurnaceNeverGainsEnergy) {
+  for (float roughness : {0.f, 0.1f, 0.2f, 0.35f, 0.5f, 0.75f, 1.f}) {
+    for (const BsdfParameters& p : AllKinds(roughness)) {
+      for (float cosine : {0.02f, 0.1f, 0.3f, 0.6f, 0.9f, 1.f}) {
+        const Furnace f = MeasureFurnace(Bsdf(p, DirectionAt(cosine, 0.1f)), 1024);
+        // 5 standard errors: one false alarm in 10^6 a case. 2e-3 is the albedo table's own error.
+        EXPECT_LE(f.mean, 1 + 5 * f.standard_error + 2e-3) << Describe(p, cosine);
+        EXPECT_GT(f.mean, 0.2) << Describe(p, cosine);
+      }
+    }
+  }
+}
+
+TEST(BsdfTest, WhiteDiffuseReflectsExactlyAll) {
+  for (float cosine : {0.05f, 0.5f, 1.f}) {
+    const Furnace f = MeasureFurnace(Bsdf(White(0, 1, 0, 1), DirectionAt(cosine, 0.3f)), 256);
+    EXPECT_NEAR(f.mean, 1, 1e-6);
+  }
+}
+
+TEST(BsdfTest, SmoothMetalAndGlassReflectNearlyAll) {
+  for (const BsdfParameters& p : AllKinds(0.05f)) {
+    const Furnace f = MeasureFurnace(Bsdf(p, DirectionAt(0.7f, 0.3f)), 1024);
+    EXPECT_NEAR(f.mean, 1, 0.01 + 5 * f.standard_error) << Describe(p, 0.7f);
+  }
+}
+
+TEST(BsdfTest, AlbedoEstimatesTheFurnace) {
+  for (float roughness : {0.2f, 0.6f, 1.f}) {
+    for (float metallic : {0.f, 1.f}) {
+      BsdfParameters p = White(metallic, roughness, 0);
+      p.base_color = V3f(0.8f, 0.4f, 0.1f);
+      const Bsdf bsdf(p, DirectionAt(0.5f, 0));
+      const Furnace f = MeasureFurnace(bsdf, 4096);
+      EXPECT_NEAR(bsdf.Albedo().x, f.mean, 0.004 + 5 * f.standard_error) << Describe(p, 0.5f);
+    }
+  }
+}
+
+// Integrates the pdf over the sphere on a fine grid in (cos, azimuth), in double.
+double PdfIntegral(const Bsdf& bsdf, int rows, int columns) {
+  double sum = 0;
+  for (int r = 0; r < rows; ++r) {
+    const float z = static_cast<float>(-1 + 2 * (r + 0.5) / rows);
+    for (int c = 0; c < columns; ++c) {
+      sum += bsdf.Evaluate(DirectionAt(z, (c + 0.5f) / static_cast<float>(columns))).pdf;
+    }
+  }
+  return sum * 4 * kPiDouble / (static_cast<double>(rows) * columns);
+}
+
+// Share of samples that carry something.
+double SuccessRate(const Bsdf& bsdf) {
+  constexpr int kCount = 1 << 14;
+  int valid = 0;
+  for (int i = 0; i < kCount; ++i) {
+    const SobolSampler sampler(1, 0, 0, 2 * i);
+    BsdfSample s;
+    valid += bsdf.Sample(sampler.Get2D(0).x, sampler.Get2D(1), &s);
+  }
+  return static_cast<double>(valid) / kCount;
+}
+
+TEST(BsdfTest, PdfIntegratesToTheShareOfUsefulSamples) {
+  for (float roughness : {0.4f, 0.7f, 1.f}) {
+    for (const BsdfParameters& p : AllKinds(roughness)) {
+      for (float cosine : {0.2f, 0.7f}) {
+        const Bsdf bsdf(p, DirectionAt(cosine, 0));
+        EXPECT_NEAR(PdfIntegral(bsdf, 1000, 400), SuccessRate(bsdf), 0.006) << Describe(p, cosine);
+      }
+    }
+  }
+}
+
+// Chi-square of sample counts against the integrated pdf, over cells of the sphere.
+TEST(BsdfTest, SamplesFollowThePdf) {
+  constexpr int kRows = 16, kColumns = 12, kSub = 24, kSamples = 20000;
+  for (float roughness : {0.5f, 1.f}) {
+    for (const BsdfParameters& p : AllKinds(roughness)) {
+      const Bsdf bsdf(p, DirectionAt(0.6f, 0.05f));
+      std::vector<double> expected(kRows * kColumns, 0), counts(kRows * kColumns, 0);
+      for (int r = 0; r < kRows * kSub; ++r) {
+        const float z = static_cast<float>(-1 + 2 * (r + 0.5) / (kRows * kSub));
+        for (int c = 0; c < kColumns * kSub; ++c) {
+          const float turns = (c + 0.5f) / (kColumns * kSub);
+          expected[r / kSub * kColumns + c / kSub] += bsdf.Evaluate(DirectionAt(z, turns)).pdf *
+                                                      (4 * kPiDouble / (kRows * kSub * kColumns * kSub)) *
+                                                      kSamples;
+        }
+      }
+      for (int i = 0; i < kSamples; ++i) {
+        // Independent numbers (one point of one pixel each), as chi-square needs.
+        const SobolSampler sampler(77, i, 3, 0);
+        BsdfSample s;
+        if (!bsdf.Sample(sampler.Get2D(0).x, sampler.Get2D(1), &s)) continue;
+        const int r = std::min(static_cast<int>((s.wi.z + 1) * 0.5f * kRows), kRows - 1);
+        float turns = ArcTan2(s.wi.y, s.wi.x) / kTwoPiFloat;
+        if (turns < 0) turns += 1;
+        ++counts[r * kColumns + std::min(static_cast<int>(turns * kColumns), kColumns - 1)];
+      }
+      double chi2 = 0, pooled_expected = 0, pooled_count = 0;
+      int cells = 0;
+      for (int i = 0; i < kRows * kColumns; ++i) {
+        if (expected[i] < 10) {  // too few for the normal approximation: pooled
+          pooled_expected += expected[i];
+          pooled_count += counts[i];
+          continue;
+        }
+        chi2 += (counts[i] - expected[i]) * (counts[i] - expected[i]) / expected[i];
+        ++cells;
+      }
+      if (pooled_expected > 10) {
+        chi2 += (pooled_count - pooled_expected) * (pooled_count - pooled_expected) / pooled_expected;
+        ++cells;
+      }
+      // Wilson & Hilferty 1931: the 1 - 10^-6 quantile, z = 4.75.
+      const double d = cells, t = 1 - 2 / (9 * d) + 4.75 * std::sqrt(2 / (9 * d));
+      EXPECT_LT(chi2, d * t * t * t) << Describe(p, 0.6f) << " cells " << cells;
+    }
+  }
+}
+
+TEST(BsdfTest, SampleAgreesWithEvaluate) {
+  for (float roughness : {0.f, 0.3f, 1.f}) {
+    for (const BsdfParameters& p : AllKinds(roughness)) {
+      const Bsdf bsdf(p, DirectionAt(0.4f, 0.2f));
+      for (int i = 0; i < 200; ++i) {
+        const SobolSampler sampler(4, 0, 0, 2 * i);
+        BsdfSample s;
+        if (!bsdf.Sample(sampler.Get2D(0).x, sampler.Get2D(1), &s)) continue;
+        const BsdfValue v = bsdf.Evaluate(s.wi);
+        EXPECT_EQ(v.pdf, s.pdf);
+        EXPECT_NEAR(s.weight.x * s.pdf, v.f_cos.x, 1e-5f * v.f_cos.x);
+        EXPECT_NEAR(s.wi.length(), 1, 1e-5);
+      }
+    }
+  }
+}
+
+TEST(BsdfTest, ReflectionIsReciprocal) {
+  for (float roughness : {0.2f, 0.6f, 1.f}) {
+    for (BsdfParameters p : AllKinds(roughness)) {
+      p.base_color = V3f(0.9f, 0.5f, 0.2f);
+      for (int i = 0; i < 64; ++i) {
+        const SobolSampler sampler(8, i, 0, 0);
+        const V2f u = sampler.Get2D(0), v = sampler.Get2D(1);
+        const V3f a = DirectionAt(0.05f + 0.95f * u.x, u.y), b = DirectionAt(0.05f + 0.95f * v.x, v.y);
+        const V3f forward = Bsdf(p, a).Evaluate(b).f_cos * (1 / b.z);
+        const V3f backward = Bsdf(p, b).Evaluate(a).f_cos * (1 / a.z);
+        for (int c = 0; c < 3; ++c) EXPECT_NEAR(forward[c], backward[c], 2e-4f * forward[c] + 1e-6f);
+      }
+    }
+  }
+}
+
+TEST(BsdfTest, TransmissionIsReciprocal) {
+  for (float roughness : {0.4f, 1.f}) {
+    for (bool thin : {true, false}) {
+      BsdfParameters p = White(0, roughness, 1);
+      p.thin_walled = thin;
+      BsdfParameters other = p;
+      other.entering = false;
+      for (int i = 0; i < 64; ++i) {
+        const SobolSampler sampler(8, i, 0, 0);
+        const V2f u = sampler.Get2D(0), v = sampler.Get2D(1);
+        const V3f a = DirectionAt(0.1f + 0.9f * u.x, u.y), b = DirectionAt(0.1f + 0.9f * v.x, v.y);
+        // Seen from the other side, up is down. Radiance over n^2 makes refraction symmetric but
+        // for the solid angle's factor of n^2.
+        const V3f b_below(b.x, b.y, -b.z), a_below(a.x, a.y, -a.z);
+        const float n2 = thin ? 1.f : p.ior * p.ior;
+        const float forward = Bsdf(p, a).Evaluate(b_below).f_cos.x / b.z;
+        const float backward = Bsdf(other, b).Evaluate(a_below).f_cos.x / a.z;
+        EXPECT_NEAR(forward, backward * n2, 2e-3f * forward + 1e-5f) << "thin " << thin;
+      }
+    }
+  }
+}
+
+TEST(BsdfTest, SmoothGlassObeysSnell) {
+  BsdfParameters p = White(0, 0, 1);
+  p.thin_walled = false;
+  const V3f wo = DirectionAt(0.6f, 0);
+  BsdfSample s;
+  ASSERT_TRUE(Bsdf(p, wo).Sample(0.999f, V2f(0.3f, 0.3f), &s));
+  EXPECT_LT(s.wi.z, 0);
+  EXPECT_NEAR(-s.wi.x, 0.8f / 1.5f, 2e-3);
+  EXPECT_NEAR(s.wi.y, 0, 2e-3);
+}
+
+TEST(SpecularAlbedoTest, AgreesWithIndependentIntegrationAndIsBounded) {
+  const SpecularAlbedoTable& table = SpecularAlbedoTable::Get();
+  for (float roughness : {0.15f, 0.43f, 0.8f}) {
+    for (float mu : {0.05f, 0.33f, 0.77f}) {
+      BsdfParameters metal = White(1, roughness, 0);
+      const Furnace f = MeasureFurnace(Bsdf(metal, DirectionAt(mu, 0)), 4096);
+      const SpecularAlbedo a = table.Lookup(mu, roughness);
+      EXPECT_NEAR(a.scale + a.bias, f.mean, 0.005 + 5 * f.standard_error) << roughness << " " << mu;
+      EXPECT_LE(a.scale + a.bias, 1.0001f);
+      EXPECT_GE(a.bias, 0);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace tessera
