@@ -17,9 +17,9 @@ std::string ValueText(const ordered_json& value) {
                            : value.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
 }
 
-// "key  value"; a list takes a line for each entry.
+// "key  value"; a list of words takes a line for each.
 void PrintMember(const std::string& key, const ordered_json& value) {
-  if (!value.is_array()) {
+  if (!value.is_array() || (!value.empty() && value.front().is_number())) {
     std::printf("%-24s %s\n", key.c_str(), ValueText(value).c_str());
     return;
   }

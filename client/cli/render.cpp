@@ -1,6 +1,6 @@
 // tessera render SCENE -o OUT: one job from scene to files, in this process or on a server.
-// Ctrl-C cancels the job and writes what there is; in this process also a film that --continue takes
-// up, for nothing else remembers the samples.
+// Ctrl-C cancels the job and writes what there is; in this process also a film that --continue
+// takes up, for nothing else remembers the samples.
 #include <chrono>
 #include <cstdio>
 #include <memory>
@@ -24,7 +24,6 @@ namespace tessera {
 namespace {
 
 constexpr int kThreadsMax = 1024;
-constexpr std::chrono::milliseconds kWatchInterval{200};
 
 class RenderCommand {
  public:

@@ -43,7 +43,8 @@ struct RenderResult {
   std::vector<std::string> outputs;
 };
 
-// digest, width, height, spp, samples, rays, non_finite, seconds, error, stopped_by, bytes, outputs.
+// digest, width, height, spp, samples, rays, non_finite, seconds, error, stopped_by, bytes,
+// outputs.
 // error.rel_rmse is the server's estimate (null while unknown), error.promised the --target-error
 // (null without).
 nlohmann::ordered_json ResultJson(const RenderResult& result);

@@ -1,0 +1,50 @@
+#include "embedded/scene_description.h"
+
+#include <filesystem>
+
+#include "worker/scene/scene_info.h"
+#include "worker/scene/scene_loader.h"
+
+namespace tessera {
+namespace {
+
+nlohmann::ordered_json Vector(const V3d& v) { return {v.x, v.y, v.z}; }
+
+}  // namespace
+
+absl::StatusOr<SceneDescription> DescribeScene(const std::string& path) {
+  const std::filesystem::path file(path);
+  SceneRequest request;
+  request.scene_name = file.filename().string();
+  request.aspect = 16.0 / 9;
+  const std::string folder = file.has_parent_path() ? file.parent_path().string() : ".";
+  const absl::StatusOr<SceneSummary> summary = SummarizeScene(request, DirectoryReader(folder));
+  if (!summary.ok()) return summary.status();
+
+  SceneDescription description;
+  description.renderable = summary->loadable;
+  nlohmann::ordered_json& json = description.members;
+  json["scene"] = path;
+  json["renderable"] = summary->loadable.ok();
+  json["triangles"] = summary->triangles;
+  json["unique_triangles"] = summary->unique_triangles;
+  json["meshes"] = summary->meshes;
+  json["instances"] = summary->instances;
+  json["materials"] = summary->materials;
+  json["textures"] = summary->textures;
+  json["texture_bytes"] = summary->texture_bytes;
+  json["punctual_lights"] = summary->punctual_lights;
+  json["emissive_triangles"] = summary->emissive_triangles;
+  json["cameras"] = summary->cameras;
+  json["bounds_min"] = Vector(summary->bounds_min);
+  json["bounds_max"] = Vector(summary->bounds_max);
+  json["memory_bytes"] = summary->memory_bytes;
+  json["features"] = summary->features;
+  json["extensions_used"] = summary->extensions_used;
+  json["extensions_required"] = summary->extensions_required;
+  json["extensions_unsupported"] = summary->extensions_unsupported;
+  json["notes"] = summary->notes;
+  return description;
+}
+
+}  // namespace tessera
