@@ -1,6 +1,5 @@
 #include "server/job_saver.h"
-
-#include <spdlog/spdlog.h>
+#include "server/log.h"
 
 namespace tessera {
 
@@ -78,7 +77,7 @@ void JobSaver::Write(JobId job, const Request& request) {
     films_->Remove(job);
     std::lock_guard lock(record_mu_);
     if (absl::Status status = catalogue_->Remove(job); !status.ok()) {
-      spdlog::error("job={} {}", job, status.ToString());
+      ServerLog().error("job={} {}", job, status.ToString());
     }
     return;
   }
@@ -91,7 +90,7 @@ void JobSaver::Write(JobId job, const Request& request) {
     });
   }
   if (status.ok()) status = WriteRecord(job);
-  if (!status.ok()) spdlog::error("job={} is not saved: {}", job, status.ToString());
+  if (!status.ok()) ServerLog().error("job={} is not saved: {}", job, status.ToString());
 }
 
 }  // namespace tessera

@@ -5,11 +5,10 @@
 
 #include <CLI/CLI.hpp>
 #include <fmt/core.h>
-#include <spdlog/sinks/stdout_color_sinks.h>
-#include <spdlog/spdlog.h>
 
 #include "core/base/version.h"
 #include "core/image/output_file.h"
+#include "server/log.h"
 #include "server/service.h"
 
 namespace tessera {
@@ -93,13 +92,10 @@ int Run(int argc, char** argv) {
   }
   arguments.service.lease_ttl =
       std::chrono::milliseconds(static_cast<int64_t>(1e3 * arguments.lease_ttl_seconds));
-  spdlog::set_default_logger(spdlog::stderr_color_mt("tessera-server"));
-  spdlog::set_pattern("%Y-%m-%dT%H:%M:%S.%eZ %l %v", spdlog::pattern_time_type::utc);
-  spdlog::set_level(arguments.verbose ? spdlog::level::debug : spdlog::level::info);
-
+  LogToStderr(arguments.verbose);
   absl::StatusOr<std::unique_ptr<Service>> service = Service::Start(arguments.service);
   if (!service.ok()) return Refuse(service.status());
-  spdlog::info("version={} listening grpc_port={} http_port={} data_dir={}", kVersion,
+  ServerLog().info("version={} listening grpc_port={} http_port={} data_dir={}", kVersion,
                (*service)->port(), (*service)->http_port(),
                arguments.service.data_dir.empty() ? "(memory)" : arguments.service.data_dir);
   if (!arguments.port_file.empty()) {
@@ -109,7 +105,7 @@ int Run(int argc, char** argv) {
   }
   int signal = 0;
   sigwait(&signals, &signal);
-  spdlog::info("stopping");
+  ServerLog().info("stopping");
   pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);  // a second signal ends it at once
   (*service)->Shutdown();
   return kDone;

@@ -6,7 +6,6 @@
 
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
-#include <spdlog/spdlog.h>
 #include <unistd.h>
 
 #include "absl/strings/match.h"
@@ -16,6 +15,7 @@
 #include "server/coordinator_host.h"
 #include "server/http/http_server.h"
 #include "server/job_saver.h"
+#include "server/log.h"
 #include "server/picture/picture_service.h"
 #include "server/rpc/asset_service.h"
 #include "server/rpc/image_service.h"
@@ -164,7 +164,7 @@ PictureSource Service::Impl::MakePictureSource() {
   };
   source.on_picture = [this](const PictureEvent& event) { host_->Post(event); };
   source.on_finished = [this](const JobFinishedEvent& event) {
-    spdlog::info("job={} finished digest={}", event.job, ToHex(event.digest));
+    ServerLog().info("job={} finished digest={}", event.job, ToHex(event.digest));
     host_->Post(event);
   };
   return source;
@@ -178,7 +178,7 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   saver_ = std::make_unique<JobSaver>(catalogue_.get(), films_.get(), assets_.get());
   sessions_ = std::make_unique<WorkerSessions>([this](Event event) {
     const absl::Status status = host_->Post(std::move(event)).status;
-    if (!status.ok()) spdlog::debug("worker event: {}", status.ToString());
+    if (!status.ok()) ServerLog().debug("worker event: {}", status.ToString());
   });
   watchers_ = std::make_unique<WatchHub>(WatchCallbacks{
       .get_job =
@@ -211,7 +211,7 @@ absl::Status Service::Impl::Restore() {
   for (CatalogueRow& row : *rows) {
     RestoreJobEvent event{.job = {}, .request_id = row.request_id, .film = nullptr};
     if (!event.job.ParseFromString(row.record)) {
-      spdlog::error("job={} its record is damaged: left out", row.job);
+      ServerLog().error("job={} its record is damaged: left out", row.job);
       continue;
     }
     const v1::JobSettings& settings = event.job.settings();
@@ -223,7 +223,7 @@ absl::Status Service::Impl::Restore() {
     }
     absl::Status status = assets_->Reference(row.job, digests);
     if (status.ok()) status = host_->Post(std::move(event)).status;
-    if (!status.ok()) spdlog::error("job={} is left out: {}", row.job, status.ToString());
+    if (!status.ok()) ServerLog().error("job={} is left out: {}", row.job, status.ToString());
   }
   return absl::OkStatus();
 }

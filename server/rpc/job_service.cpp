@@ -2,10 +2,9 @@
 
 #include <charconv>
 
-#include <spdlog/spdlog.h>
-
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/limits.h"
+#include "server/log.h"
 #include "server/rpc/rpc_status.h"
 
 namespace tessera {
@@ -59,7 +58,7 @@ absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* re
     host_.Post(JobCommandEvent{JobCommand::kDelete, answer.job, ""});
     return status;
   }
-  spdlog::info("job={} created {}x{} spp={} priority={}", answer.job, settings->width(),
+  ServerLog().info("job={} created {}x{} spp={} priority={}", answer.job, settings->width(),
                settings->height(), settings->spp(), settings->priority());
   return Get(JobName(answer.job), response);
 }

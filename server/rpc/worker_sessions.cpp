@@ -3,12 +3,11 @@
 #include <deque>
 #include <string>
 
-#include <spdlog/spdlog.h>
-
 #include "absl/strings/str_cat.h"
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
+#include "server/log.h"
 #include "server/rpc/rpc_status.h"
 
 namespace tessera {
@@ -102,7 +101,7 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
       case v1::WorkerMessage::kHello: {
         greeted_ = true;
         const v1::Hello& hello = message.hello();
-        spdlog::info("session={} worker connected host={} process={} threads={}", session_,
+        ServerLog().info("session={} worker connected host={} process={} threads={}", session_,
                      hello.host().substr(0, 256), hello.process_id(), hello.threads());
         sessions_->post_(WorkerConnectedEvent{session_, hello});
         break;
@@ -151,7 +150,7 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
     if (finished_) return;
     finished_ = true;
     if (!status_.ok() && !cancelled_) {
-      spdlog::warn("session={} closed: {}", session_, std::string(status_.message()));
+      ServerLog().warn("session={} closed: {}", session_, std::string(status_.message()));
     }
     Finish(ToGrpc(status_));
   }
