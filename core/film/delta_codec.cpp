@@ -3,6 +3,7 @@
 #include <xxhash.h>
 #include <zstd.h>
 
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cmath>
@@ -31,17 +32,27 @@ constexpr int kVarintBytesMax = 10;
 constexpr float kMeanMax = 2 * 0x1p60f;       // twice what samples allow: room for rounding
 constexpr float kMsdMax = kMeanMax * kMeanMax;
 
-// Planes of one quantity share their streams.
+// Planes of one quantity share their streams. Colours' channels rise and fall together, so each
+// channel guides the next.
 struct Quantity {
   int first_plane;
-  int num_planes;
+  int num_channels;
+  bool has_guides;
 };
 constexpr Quantity kQuantities[] = {
-    {kRadianceMean, 3}, {kRadianceMsd, 3}, {kAlbedoMean, 3}, {kAlbedoMsd, 3},
-    {kNormalMean, 3},   {kNormalMsd, 3},   {kDepthMean, 1},  {kDepthMsd, 1},
-    {kFirstCountPlane + kHits, 1}, {kFirstCountPlane + kMaterialId, 1},
-    {kFirstCountPlane + kIdVotes, 1},
+    {kRadianceMean, 3, true},
+    {kRadianceMsd, 3, true},
+    {kAlbedoMean, 3, true},
+    {kAlbedoMsd, 3, true},
+    {kNormalMean, 3, false},
+    {kNormalMsd, 3, false},
+    {kDepthMean, 1, false},
+    {kDepthMsd, 1, false},
+    {kFirstCountPlane + kHits, 1, false},
+    {kFirstCountPlane + kMaterialId, 1, false},
+    {kFirstCountPlane + kIdVotes, 1, false},
 };
+constexpr int kNumChannelsMax = 3;
 
 using PlaneCodings = std::array<std::array<PlaneCoding, kNumPlanes>, kNumHalves>;
 
@@ -49,12 +60,35 @@ bool IsMsdPlane(int plane) {
   return plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3);
 }
 
-PlaneLayout LayoutOf(int plane, const PixelRect& window) {
-  return {.is_float = plane < kFirstCountPlane, .row_px = window.width()};
-}
+// The planes of one quantity in both halves, as words and as codes.
+struct QuantityPlanes {
+  explicit QuantityPlanes(size_t num_pixels) {
+    for (int half = 0; half < kNumHalves; ++half) {
+      for (int channel = 0; channel < kNumChannelsMax; ++channel) {
+        words[half][channel].resize(num_pixels);
+        codes[half][channel].resize(num_pixels);
+      }
+    }
+  }
+
+  // What is known of a plane when channels are visited in order, half A of each first.
+  PlaneContext ContextOf(const Quantity& quantity, int half, int channel, int row_px) const {
+    PlaneContext context;
+    context.is_float = quantity.first_plane < kFirstCountPlane;
+    context.row_px = row_px;
+    if (half > 0) context.other_half = words[0][channel];
+    if (quantity.has_guides && channel > 0) {
+      context.guide = words[half][channel - 1];
+      if (half > 0) context.other_guide = words[0][channel - 1];
+    }
+    return context;
+  }
+
+  std::vector<uint32_t> words[kNumHalves][kNumChannelsMax];
+  std::vector<uint32_t> codes[kNumHalves][kNumChannelsMax];
+};
 
 void CopyWords(const TileStatistics& tile, int half, int plane, std::vector<uint32_t>* words) {
-  words->resize(static_cast<size_t>(tile.num_pixels()));
   const void* from = plane < kFirstCountPlane
                          ? static_cast<const void*>(tile.Floats(half, plane).data())
                          : tile.Counts(half, plane - kFirstCountPlane).data();
@@ -142,14 +176,15 @@ bool ReadCompressed(ByteReader* reader, std::string* stream) {
                              bytes.size()) == stream->size();
 }
 
-// Calls visit(half, plane) for the planes of the stream of `quantity`'s byte `byte_index`.
+// Calls visit(half, channel) for the planes of the stream of `quantity`'s byte `byte_index`.
 template <typename Visitor>
 void VisitStream(const Quantity& quantity, int byte_index, const PlaneCodings& codings,
                  const Visitor& visit) {
   for (int half = 0; half < kNumHalves; ++half) {
-    for (int i = 0; i < quantity.num_planes; ++i) {
-      const int plane = quantity.first_plane + i;
-      if (codings[half][plane].width_bytes > byte_index) visit(half, plane);
+    for (int channel = 0; channel < quantity.num_channels; ++channel) {
+      if (codings[half][quantity.first_plane + channel].width_bytes > byte_index) {
+        visit(half, channel);
+      }
     }
   }
 }
@@ -160,9 +195,21 @@ absl::Status Malformed(std::string_view what) {
       "; it was damaged on its way or comes from another version: send it again"));
 }
 
+void AppendCodings(const PlaneCodings& codings, std::string* payload) {
+  for (const auto& half_codings : codings) {
+    for (const PlaneCoding& coding : half_codings) {
+      payload->push_back(static_cast<char>(coding.width_bytes |
+                                           (static_cast<uint8_t>(coding.predictor) << 3)));
+      payload->push_back(static_cast<char>(coding.shift));
+      AppendVarint(coding.base, payload);
+    }
+  }
+}
+
+// Whether the planes' headers are there and within their ranges.
 bool ReadCodings(ByteReader* reader, PlaneCodings* codings) {
-  for (int half = 0; half < kNumHalves; ++half) {
-    for (PlaneCoding& coding : (*codings)[half]) {
+  for (auto& half_codings : *codings) {
+    for (PlaneCoding& coding : half_codings) {
       uint8_t predictor_and_width;
       uint64_t base;
       if (!reader->ReadByte(&predictor_and_width) || !reader->ReadByte(&coding.shift) ||
@@ -171,15 +218,56 @@ bool ReadCodings(ByteReader* reader, PlaneCodings* codings) {
       }
       coding.width_bytes = predictor_and_width & 7;
       coding.predictor = static_cast<PlanePredictor>(predictor_and_width >> 3);
-      const auto last_predictor = half == 0 ? PlanePredictor::kLeft : PlanePredictor::kOtherHalf;
-      if (coding.width_bytes > 4 || coding.predictor > last_predictor || coding.shift > 31 ||
-          base > UINT32_MAX) {
-        return false;
-      }
       coding.base = static_cast<uint32_t>(base);
+      if (coding.width_bytes > 4 || coding.shift > 31 || base > UINT32_MAX) return false;
     }
   }
   return true;
+}
+
+// Reads the streams of one quantity into codes.
+absl::Status ReadStreams(const Quantity& quantity, DeltaEncoding encoding,
+                         const PlaneCodings& codings, ByteReader* reader, QuantityPlanes* planes) {
+  const size_t area = planes->codes[0][0].size();
+  for (auto& half_codes : planes->codes) {
+    for (std::vector<uint32_t>& codes : half_codes) std::ranges::fill(codes, 0);
+  }
+  std::string stream;
+  for (int byte_index = 0; byte_index < 4; ++byte_index) {
+    size_t num_planes = 0;
+    VisitStream(quantity, byte_index, codings, [&](int, int) { ++num_planes; });
+    if (num_planes == 0) break;
+    std::string_view bytes;
+    if (encoding == DeltaEncoding::kPacked) {
+      if (!reader->ReadBytes(num_planes * area, &bytes)) return Malformed("too few bytes");
+    } else {
+      stream.resize(num_planes * area);
+      if (!ReadCompressed(reader, &stream)) return Malformed("a stream does not decompress");
+      bytes = stream;
+    }
+    VisitStream(quantity, byte_index, codings, [&](int half, int channel) {
+      JoinByte(bytes.data(), byte_index, planes->codes[half][channel]);
+      bytes.remove_prefix(area);
+    });
+  }
+  return absl::OkStatus();
+}
+
+// Restores the planes of one quantity from their codes into `tile`.
+absl::Status RestoreQuantity(const Quantity& quantity, const PlaneCodings& codings,
+                             QuantityPlanes* planes, TileStatistics* tile) {
+  for (int channel = 0; channel < quantity.num_channels; ++channel) {
+    const int plane = quantity.first_plane + channel;
+    for (int half = 0; half < kNumHalves; ++half) {
+      const PlaneContext context =
+          planes->ContextOf(quantity, half, channel, tile->window().width());
+      const PlaneCoding& coding = codings[half][plane];
+      if (!context.Allows(coding.predictor)) return Malformed("a predictor has nothing to read");
+      RestorePlane(context, coding, planes->codes[half][channel], planes->words[half][channel]);
+      StoreWords(planes->words[half][channel], half, plane, tile);
+    }
+  }
+  return absl::OkStatus();
 }
 
 }  // namespace
@@ -218,48 +306,39 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
   const size_t area = static_cast<size_t>(tile.num_pixels());
   const bool compress = encoding == DeltaEncoding::kPackedZstd;
   PlaneCodings codings;
-  std::vector<uint32_t> words[kNumHalves];
-  std::vector<uint32_t> codes(area * kNumPlanes * kNumHalves);
-  const auto codes_of = [&](int half, int plane) {
-    return std::span(codes).subspan((half * kNumPlanes + plane) * area, area);
-  };
-  for (int plane = 0; plane < kNumPlanes; ++plane) {
-    const PlaneLayout layout = LayoutOf(plane, tile.window());
-    for (int half = 0; half < kNumHalves; ++half) {
-      CopyWords(tile, half, plane, &words[half]);
-      codings[half][plane] =
-          CodePlane(layout, words[half], half == 0 ? std::span<const uint32_t>() : words[0],
-                    compress, codes_of(half, plane));
+  QuantityPlanes planes(area);
+  std::string body, stream;
+  size_t packed_bytes = kChecksumBytes;
+  for (const Quantity& quantity : kQuantities) {
+    for (int channel = 0; channel < quantity.num_channels; ++channel) {
+      const int plane = quantity.first_plane + channel;
+      for (int half = 0; half < kNumHalves; ++half) {
+        CopyWords(tile, half, plane, &planes.words[half][channel]);
+        codings[half][plane] =
+            CodePlane(planes.ContextOf(quantity, half, channel, tile.window().width()),
+                      planes.words[half][channel], compress, planes.codes[half][channel]);
+      }
+    }
+    for (int byte_index = 0; byte_index < 4; ++byte_index) {
+      stream.clear();
+      VisitStream(quantity, byte_index, codings, [&](int half, int channel) {
+        stream.resize(stream.size() + area);
+        SplitByte(planes.codes[half][channel], byte_index, stream.data() + stream.size() - area);
+      });
+      packed_bytes += stream.size();
+      if (!compress) {
+        body += stream;
+      } else if (!stream.empty()) {
+        AppendCompressed(stream, &body);
+      }
     }
   }
 
   std::string payload(1, static_cast<char>(kFormatVersion));
   AppendVarint(static_cast<uint64_t>(tile.non_finite), &payload);
-  for (const auto& half_codings : codings) {
-    for (const PlaneCoding& coding : half_codings) {
-      payload.push_back(static_cast<char>(coding.width_bytes |
-                                          (static_cast<uint8_t>(coding.predictor) << 3)));
-      payload.push_back(static_cast<char>(coding.shift));
-      AppendVarint(coding.base, &payload);
-    }
-  }
-  size_t packed_bytes = payload.size() + kChecksumBytes;
-  std::string stream;
-  for (const Quantity& quantity : kQuantities) {
-    for (int byte_index = 0; byte_index < 4; ++byte_index) {
-      stream.clear();
-      VisitStream(quantity, byte_index, codings, [&](int half, int plane) {
-        stream.resize(stream.size() + area);
-        SplitByte(codes_of(half, plane), byte_index, stream.data() + stream.size() - area);
-      });
-      packed_bytes += stream.size();
-      if (!compress) {
-        payload += stream;
-      } else if (!stream.empty()) {
-        AppendCompressed(stream, &payload);
-      }
-    }
-  }
+  AppendCodings(codings, &payload);
+  packed_bytes += payload.size();
+  payload += body;
   const uint64_t checksum = XXH64(payload.data(), payload.size(), 0);
   payload.append(reinterpret_cast<const char*>(&checksum), kChecksumBytes);
   return {encoding, std::move(payload), static_cast<int64_t>(packed_bytes)};
@@ -291,44 +370,16 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
     return Malformed("bad plane header");
   }
 
-  const size_t area = static_cast<size_t>(window.area());
-  std::vector<uint32_t> codes(area * kNumPlanes * kNumHalves);
-  const auto codes_of = [&](int half, int plane) {
-    return std::span(codes).subspan((half * kNumPlanes + plane) * area, area);
-  };
-  std::string stream;
-  for (const Quantity& quantity : kQuantities) {
-    for (int byte_index = 0; byte_index < 4; ++byte_index) {
-      size_t num_planes = 0;
-      VisitStream(quantity, byte_index, codings, [&](int, int) { ++num_planes; });
-      if (num_planes == 0) continue;
-      stream.resize(num_planes * area);
-      std::string_view bytes;
-      if (encoding == static_cast<uint32_t>(DeltaEncoding::kPacked)) {
-        if (!reader.ReadBytes(stream.size(), &bytes)) return Malformed("too few bytes");
-      } else {
-        if (!ReadCompressed(&reader, &stream)) return Malformed("a stream does not decompress");
-        bytes = stream;
-      }
-      VisitStream(quantity, byte_index, codings, [&](int half, int plane) {
-        JoinByte(bytes.data(), byte_index, codes_of(half, plane));
-        bytes.remove_prefix(area);
-      });
-    }
-  }
-  if (!reader.empty()) return Malformed("too many bytes");
-
   TileStatistics tile(window, range);
   tile.non_finite = static_cast<int64_t>(non_finite);
-  std::vector<uint32_t> words[kNumHalves];
-  for (int plane = 0; plane < kNumPlanes; ++plane) {
-    for (int half = 0; half < kNumHalves; ++half) {
-      words[half].resize(area);
-      RestorePlane(LayoutOf(plane, window), codings[half][plane], codes_of(half, plane), words[0],
-                   words[half]);
-      StoreWords(words[half], half, plane, &tile);
-    }
+  QuantityPlanes planes(static_cast<size_t>(tile.num_pixels()));
+  for (const Quantity& quantity : kQuantities) {
+    absl::Status status = ReadStreams(quantity, static_cast<DeltaEncoding>(encoding), codings,
+                                      &reader, &planes);
+    if (status.ok()) status = RestoreQuantity(quantity, codings, &planes, &tile);
+    if (!status.ok()) return status;
   }
+  if (!reader.empty()) return Malformed("too many bytes");
   if (absl::Status status = ValidateStatistics(tile); !status.ok()) return status;
   return tile;
 }

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <cmath>
 #include <limits>
 
 namespace tessera {
@@ -15,9 +16,69 @@ uint32_t WordOf(uint32_t key, bool is_float) { return is_float ? std::rotr(key, 
 uint32_t ZigZag(uint32_t difference) { return (difference << 1) ^ (0u - (difference >> 31)); }
 uint32_t UnZigZag(uint32_t code) { return (code >> 1) ^ (0u - (code & 1)); }
 
-// Codes of kNone keep 0 for the key 0 (pixels that nothing was recorded for) and count from the
-// least other key.
+// kNone keeps 0 for the key 0 (pixels that nothing was recorded for) and counts from the least
+// other key.
 uint32_t OffsetCode(uint32_t key, uint32_t base) { return key == 0 ? 0 : key - base + 1; }
+
+// `from`, changed in the ratio of `guide` to `guide_from`; `from` itself where that is no number.
+uint32_t Scale(uint32_t from, uint32_t guide, uint32_t guide_from) {
+  const float ratio = std::bit_cast<float>(guide) / std::bit_cast<float>(guide_from);
+  const float scaled = std::bit_cast<float>(from) * ratio;
+  return std::fabs(scaled) <= std::numeric_limits<float>::max() ? std::bit_cast<uint32_t>(scaled)
+                                                                : from;
+}
+
+// Calls visit(pixel, left) for every pixel but the first, in order; `left` of a row's first pixel
+// is the one above.
+template <typename Visitor>
+void VisitLeft(size_t num_pixels, size_t row_px, const Visitor& visit) {
+  for (size_t begin = 0; begin < num_pixels; begin += row_px) {
+    if (begin > 0) visit(begin, begin - row_px);
+    const size_t end = std::min(begin + row_px, num_pixels);
+    for (size_t i = begin + 1; i < end; ++i) visit(i, i - 1);
+  }
+}
+
+void Code(const PlaneContext& context, const PlaneCoding& coding, std::span<const uint32_t> words,
+          std::span<uint32_t> codes) {
+  const bool is_float = context.is_float;
+  const int shift = coding.shift;
+  const uint32_t* const in = words.data();
+  const uint32_t* const guide = context.guide.data();
+  const uint32_t* const other_guide = context.other_guide.data();
+  const uint32_t* const other_half = context.other_half.data();
+  uint32_t* __restrict const out = codes.data();
+  const size_t num_pixels = words.size();
+  const size_t row_px = static_cast<size_t>(context.row_px);
+  const auto key_of = [=](uint32_t word) { return KeyOf(word, is_float) >> shift; };
+  switch (coding.predictor) {
+    case PlanePredictor::kNone:
+      for (size_t i = 0; i < num_pixels; ++i) out[i] = OffsetCode(key_of(in[i]), coding.base);
+      break;
+    case PlanePredictor::kLeft:
+      out[0] = ZigZag(key_of(in[0]) - coding.base);
+      VisitLeft(num_pixels, row_px, [=](size_t i, size_t left) {
+        out[i] = ZigZag(key_of(in[i]) - key_of(in[left]));
+      });
+      break;
+    case PlanePredictor::kLeftRatio:
+      out[0] = ZigZag(key_of(in[0]) - coding.base);
+      VisitLeft(num_pixels, row_px, [=](size_t i, size_t left) {
+        out[i] = ZigZag(key_of(in[i]) - key_of(Scale(in[left], guide[i], guide[left])));
+      });
+      break;
+    case PlanePredictor::kOtherHalf:
+      for (size_t i = 0; i < num_pixels; ++i) {
+        out[i] = ZigZag(key_of(in[i]) - key_of(other_half[i]));
+      }
+      break;
+    case PlanePredictor::kOtherHalfRatio:
+      for (size_t i = 0; i < num_pixels; ++i) {
+        out[i] = ZigZag(key_of(in[i]) - key_of(Scale(other_half[i], guide[i], other_guide[i])));
+      }
+      break;
+  }
+}
 
 // The sum of the codes' lengths in bits, up to a constant for each code.
 uint64_t CostBits(std::span<const uint32_t> codes) {
@@ -36,52 +97,21 @@ uint8_t WidthBytes(std::span<const uint32_t> codes) {
   return static_cast<uint8_t>((std::bit_width(any) + 7) / 8);
 }
 
-void CodeNone(const PlaneLayout& layout, const PlaneCoding& coding,
-              std::span<const uint32_t> words, std::span<uint32_t> codes) {
-  for (size_t i = 0; i < words.size(); ++i) {
-    codes[i] = OffsetCode(KeyOf(words[i], layout.is_float) >> coding.shift, coding.base);
-  }
-}
-
-void CodeLeft(const PlaneLayout& layout, const PlaneCoding& coding,
-              std::span<const uint32_t> words, std::span<uint32_t> codes) {
-  const size_t row = static_cast<size_t>(layout.row_px);
-  uint32_t above = coding.base;
-  for (size_t begin = 0; begin < words.size(); begin += row) {
-    uint32_t left = above;
-    above = KeyOf(words[begin], layout.is_float) >> coding.shift;
-    codes[begin] = ZigZag(above - left);
-    const size_t end = std::min(begin + row, words.size());
-    for (size_t i = begin + 1; i < end; ++i) {
-      left = KeyOf(words[i - 1], layout.is_float) >> coding.shift;
-      codes[i] = ZigZag((KeyOf(words[i], layout.is_float) >> coding.shift) - left);
-    }
-  }
-}
-
-void CodeOtherHalf(const PlaneLayout& layout, const PlaneCoding& coding,
-                   std::span<const uint32_t> words, std::span<const uint32_t> other_half,
-                   std::span<uint32_t> codes) {
-  for (size_t i = 0; i < words.size(); ++i) {
-    codes[i] = ZigZag((KeyOf(words[i], layout.is_float) >> coding.shift) -
-                      (KeyOf(other_half[i], layout.is_float) >> coding.shift));
-  }
-}
-
-void Code(const PlaneLayout& layout, const PlaneCoding& coding, std::span<const uint32_t> words,
-          std::span<const uint32_t> other_half, std::span<uint32_t> codes) {
-  switch (coding.predictor) {
-    case PlanePredictor::kNone: return CodeNone(layout, coding, words, codes);
-    case PlanePredictor::kLeft: return CodeLeft(layout, coding, words, codes);
-    case PlanePredictor::kOtherHalf:
-      return CodeOtherHalf(layout, coding, words, other_half, codes);
-  }
-}
-
 }  // namespace
 
-PlaneCoding CodePlane(const PlaneLayout& layout, std::span<const uint32_t> words,
-                      std::span<const uint32_t> other_half, bool predict,
+bool PlaneContext::Allows(PlanePredictor predictor) const {
+  switch (predictor) {
+    case PlanePredictor::kNone:
+    case PlanePredictor::kLeft: return true;
+    case PlanePredictor::kOtherHalf: return !other_half.empty();
+    case PlanePredictor::kLeftRatio: return is_float && !guide.empty();
+    case PlanePredictor::kOtherHalfRatio:
+      return is_float && !guide.empty() && !other_half.empty() && !other_guide.empty();
+  }
+  return false;
+}
+
+PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> words, bool predict,
                       std::span<uint32_t> codes) {
   PlaneCoding coding;
   if (words.empty()) return coding;
@@ -89,7 +119,7 @@ PlaneCoding CodePlane(const PlaneLayout& layout, std::span<const uint32_t> words
   uint32_t differing = 0;
   uint32_t least = std::numeric_limits<uint32_t>::max();  // non-zero key, minus 1 to wrap zero
   for (const uint32_t word : words) {
-    const uint32_t key = KeyOf(word, layout.is_float);
+    const uint32_t key = KeyOf(word, context.is_float);
     any |= key;
     differing |= word ^ words[0];
     least = std::min(least, key - 1);
@@ -97,6 +127,7 @@ PlaneCoding CodePlane(const PlaneLayout& layout, std::span<const uint32_t> words
   if (any != 0) coding.shift = static_cast<uint8_t>(std::countr_zero(any));
   if (differing == 0) {
     coding.base = any >> coding.shift;
+    std::ranges::fill(codes, 0);
     return coding;
   }
   coding.base = (least + 1) >> coding.shift;
@@ -105,10 +136,11 @@ PlaneCoding CodePlane(const PlaneLayout& layout, std::span<const uint32_t> words
     uint64_t least_bits = std::numeric_limits<uint64_t>::max();
     PlanePredictor best = PlanePredictor::kNone;
     for (const PlanePredictor predictor :
-         {PlanePredictor::kNone, PlanePredictor::kLeft, PlanePredictor::kOtherHalf}) {
-      if (predictor == PlanePredictor::kOtherHalf && other_half.empty()) continue;
+         {PlanePredictor::kNone, PlanePredictor::kLeft, PlanePredictor::kOtherHalf,
+          PlanePredictor::kLeftRatio, PlanePredictor::kOtherHalfRatio}) {
+      if (!context.Allows(predictor)) continue;
       coding.predictor = predictor;
-      Code(layout, coding, words, other_half, codes);
+      Code(context, coding, words, codes);
       const uint64_t bits = CostBits(codes);
       if (bits < least_bits) {
         least_bits = bits;
@@ -117,43 +149,54 @@ PlaneCoding CodePlane(const PlaneLayout& layout, std::span<const uint32_t> words
     }
     coding.predictor = best;
   }
-  Code(layout, coding, words, other_half, codes);
+  Code(context, coding, words, codes);
   coding.width_bytes = WidthBytes(codes);
   return coding;
 }
 
-void RestorePlane(const PlaneLayout& layout, const PlaneCoding& coding,
-                  std::span<const uint32_t> codes, std::span<const uint32_t> other_half,
-                  std::span<uint32_t> words) {
-  const auto word_of = [&](uint32_t key) { return WordOf(key << coding.shift, layout.is_float); };
-  if (coding.width_bytes == 0 && coding.predictor == PlanePredictor::kNone) {
-    std::fill(words.begin(), words.end(), word_of(coding.base));
-    return;
-  }
+void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
+                  std::span<const uint32_t> codes, std::span<uint32_t> words) {
+  if (words.empty()) return;
+  const bool is_float = context.is_float;
+  const int shift = coding.shift;
+  const size_t num_pixels = words.size();
+  const size_t row_px = static_cast<size_t>(context.row_px);
+  const auto key_of = [=](uint32_t word) { return KeyOf(word, is_float) >> shift; };
+  const auto word_of = [=](uint32_t key) { return WordOf(key << shift, is_float); };
+  const auto restored = [=](uint32_t predicted, uint32_t code) {
+    return word_of(key_of(predicted) + UnZigZag(code));
+  };
   switch (coding.predictor) {
     case PlanePredictor::kNone:
-      for (size_t i = 0; i < words.size(); ++i) {
+      if (coding.width_bytes == 0) {
+        std::ranges::fill(words, word_of(coding.base));
+        break;
+      }
+      for (size_t i = 0; i < num_pixels; ++i) {
         words[i] = word_of(codes[i] == 0 ? 0 : codes[i] + coding.base - 1);
       }
       break;
-    case PlanePredictor::kLeft: {
-      const size_t row = static_cast<size_t>(layout.row_px);
-      uint32_t above = coding.base;
-      for (size_t begin = 0; begin < words.size(); begin += row) {
-        uint32_t key = above = above + UnZigZag(codes[begin]);
-        words[begin] = word_of(key);
-        const size_t end = std::min(begin + row, words.size());
-        for (size_t i = begin + 1; i < end; ++i) {
-          key += UnZigZag(codes[i]);
-          words[i] = word_of(key);
-        }
+    case PlanePredictor::kLeft:
+      words[0] = word_of(coding.base + UnZigZag(codes[0]));
+      VisitLeft(num_pixels, row_px, [&](size_t i, size_t left) {
+        words[i] = restored(words[left], codes[i]);
+      });
+      break;
+    case PlanePredictor::kLeftRatio:
+      words[0] = word_of(coding.base + UnZigZag(codes[0]));
+      VisitLeft(num_pixels, row_px, [&](size_t i, size_t left) {
+        words[i] = restored(Scale(words[left], context.guide[i], context.guide[left]), codes[i]);
+      });
+      break;
+    case PlanePredictor::kOtherHalf:
+      for (size_t i = 0; i < num_pixels; ++i) {
+        words[i] = restored(context.other_half[i], codes[i]);
       }
       break;
-    }
-    case PlanePredictor::kOtherHalf:
-      for (size_t i = 0; i < words.size(); ++i) {
-        const uint32_t other = KeyOf(other_half[i], layout.is_float) >> coding.shift;
-        words[i] = word_of(other + UnZigZag(codes[i]));
+    case PlanePredictor::kOtherHalfRatio:
+      for (size_t i = 0; i < num_pixels; ++i) {
+        words[i] = restored(
+            Scale(context.other_half[i], context.guide[i], context.other_guide[i]), codes[i]);
       }
       break;
   }

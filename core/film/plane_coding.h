@@ -10,9 +10,11 @@ namespace tessera {
 
 // What a word is coded relative to.
 enum class PlanePredictor : uint8_t {
-  kNone = 0,       // the plane's least non-zero key
-  kLeft = 1,       // the pixel to the left; above at a row's begin
-  kOtherHalf = 2,  // the same pixel's word in half A
+  kNone = 0,            // the plane's least non-zero key
+  kLeft = 1,            // the pixel to the left; above at a row's begin
+  kOtherHalf = 2,       // the same pixel's word in half A
+  kLeftRatio = 3,       // left, scaled as the guide changes from left to here
+  kOtherHalfRatio = 4,  // half A, scaled as the guide differs between the halves
 };
 
 // How a plane was coded; enough to restore it.
@@ -25,21 +27,25 @@ struct PlaneCoding {
   friend bool operator==(const PlaneCoding&, const PlaneCoding&) = default;
 };
 
-// What a plane's words are and where it lies.
-struct PlaneLayout {
+// What a plane's words are, and planes that are known before it: each empty or as long.
+struct PlaneContext {
   bool is_float = false;  // float32 bits: the key puts the sign last, next to the least mantissa bit
   int row_px = 1;         // pixels in a row
+  std::span<const uint32_t> other_half;   // half A of this plane
+  std::span<const uint32_t> guide;        // floats: the channel before this one
+  std::span<const uint32_t> other_guide;  // its half A
+
+  // Whether the planes that `predictor` reads are there.
+  bool Allows(PlanePredictor predictor) const;
 };
 
 // Codes `words` with the predictor that takes the fewest bits, kNone alone unless `predict`.
-// `other_half` is empty or as long as `words`; `codes` is as long as `words`.
-PlaneCoding CodePlane(const PlaneLayout& layout, std::span<const uint32_t> words,
-                      std::span<const uint32_t> other_half, bool predict,
+// `codes` is as long as `words`.
+PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> words, bool predict,
                       std::span<uint32_t> codes);
-// The inverse, for any coding within the ranges above and any codes of its width.
-void RestorePlane(const PlaneLayout& layout, const PlaneCoding& coding,
-                  std::span<const uint32_t> codes, std::span<const uint32_t> other_half,
-                  std::span<uint32_t> words);
+// The inverse, for any coding within the ranges above, allowed by the context, and any codes.
+void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
+                  std::span<const uint32_t> codes, std::span<uint32_t> words);
 
 // Byte `byte_index` (0 = lowest) of every code, and back; JoinByte adds it to what is there.
 void SplitByte(std::span<const uint32_t> codes, int byte_index, char* bytes);

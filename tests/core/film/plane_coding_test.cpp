@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <bit>
 #include <random>
 #include <vector>
@@ -9,11 +10,10 @@
 namespace tessera {
 namespace {
 
-// Codes, cuts to bytes, joins and restores.
-void ExpectRoundTrip(const PlaneLayout& layout, const std::vector<uint32_t>& words,
-                     const std::vector<uint32_t>& other_half, PlanePredictor* predictor = nullptr) {
+// Codes, cuts to bytes, joins and restores; returns the coding.
+PlaneCoding ExpectRoundTrip(const PlaneContext& context, const std::vector<uint32_t>& words) {
   std::vector<uint32_t> codes(words.size());
-  const PlaneCoding coding = CodePlane(layout, words, other_half, true, codes);
+  const PlaneCoding coding = CodePlane(context, words, true, codes);
   std::vector<uint32_t> joined(words.size());
   for (int byte_index = 0; byte_index < coding.width_bytes; ++byte_index) {
     std::vector<char> bytes(words.size());
@@ -21,61 +21,105 @@ void ExpectRoundTrip(const PlaneLayout& layout, const std::vector<uint32_t>& wor
     JoinByte(bytes.data(), byte_index, joined);
   }
   std::vector<uint32_t> restored(words.size());
-  RestorePlane(layout, coding, joined, other_half, restored);
+  RestorePlane(context, coding, joined, restored);
   EXPECT_EQ(restored, words);
-  if (predictor != nullptr) *predictor = coding.predictor;
+  return coding;
 }
 
 TEST(PlaneCodingTest, AnyWordsRoundTrip) {
   for (uint64_t seed = 0; seed < 300; ++seed) {
     std::mt19937_64 random(seed);
-    std::vector<uint32_t> words(1 + random() % 50), other_half(words.size());
+    std::vector<uint32_t> words(1 + random() % 50);
+    std::vector<uint32_t> other_half(words.size()), guide(words.size()), other_guide(words.size());
     const int shift = static_cast<int>(random() % 32);
-    const int zeros = static_cast<int>(random() % 4);
+    const uint64_t zeros = random() % 4;
     for (size_t i = 0; i < words.size(); ++i) {
-      words[i] = random() % 4 < static_cast<uint64_t>(zeros)
-                     ? 0
-                     : static_cast<uint32_t>(random() >> 32) << shift;
+      words[i] = random() % 4 < zeros ? 0 : static_cast<uint32_t>(random() >> 32) << shift;
       other_half[i] = words[i] + static_cast<uint32_t>(random() % 3);
+      guide[i] = words[i] + (1u << 23);  // any bits: NaN and infinity, too
+      other_guide[i] = other_half[i] + (1u << 23);
     }
     for (const bool is_float : {false, true}) {
-      const PlaneLayout layout{.is_float = is_float, .row_px = 1 + static_cast<int>(seed % 9)};
-      ExpectRoundTrip(layout, words, {});
-      ExpectRoundTrip(layout, words, other_half);
+      PlaneContext context;
+      context.is_float = is_float;
+      context.row_px = 1 + static_cast<int>(seed % 9);
+      ExpectRoundTrip(context, words);
+      context.guide = guide;
+      ExpectRoundTrip(context, words);
+      context.other_half = other_half;
+      context.other_guide = other_guide;
+      ExpectRoundTrip(context, words);
     }
   }
 }
 
 TEST(PlaneCodingTest, PredictsWhatIsPredictable) {
   std::mt19937_64 random(1);
-  std::vector<uint32_t> ramp, noise, like_noise;
+  std::vector<uint32_t> ramp, noise, like_noise, tinted, other_noise, other_tinted;
+  const auto word = [](float value) { return std::bit_cast<uint32_t>(value); };
   for (int i = 0; i < 256; ++i) {
-    ramp.push_back(std::bit_cast<uint32_t>(1.0f + 0.001f * static_cast<float>(i)));
-    noise.push_back(static_cast<uint32_t>(random() >> 32));
-    like_noise.push_back(noise.back() + 2);
+    ramp.push_back(word(1.0f + 0.001f * static_cast<float>(i)));
+    const float value = 1.0f + static_cast<float>(random() % 100000);
+    const float other_value = 1.0f + static_cast<float>(random() % 100000);
+    noise.push_back(word(value));
+    like_noise.push_back(word(value) + 2);
+    tinted.push_back(word(0.7f * value));
+    other_noise.push_back(word(other_value));
+    other_tinted.push_back(word(0.7f * other_value));
   }
-  PlanePredictor predictor;
-  ExpectRoundTrip({.is_float = true, .row_px = 16}, ramp, {}, &predictor);
-  EXPECT_EQ(predictor, PlanePredictor::kLeft);
-  ExpectRoundTrip({.is_float = false, .row_px = 16}, like_noise, noise, &predictor);
-  EXPECT_EQ(predictor, PlanePredictor::kOtherHalf);
+  PlaneContext context;
+  context.is_float = true;
+  context.row_px = 16;
+  EXPECT_EQ(ExpectRoundTrip(context, ramp).predictor, PlanePredictor::kLeft);
+  context.other_half = noise;
+  EXPECT_EQ(ExpectRoundTrip(context, like_noise).predictor, PlanePredictor::kOtherHalf);
+  context.other_half = {};
+  context.guide = noise;
+  EXPECT_EQ(ExpectRoundTrip(context, tinted).predictor, PlanePredictor::kLeftRatio);
+  // Half A's pixel and guide are in the ratio that is wanted, while every pixel's differs.
+  std::vector<uint32_t> mottled, other_mottled;
+  for (size_t i = 0; i < noise.size(); ++i) {
+    const float tint = 0.1f + static_cast<float>(random() % 1000);
+    mottled.push_back(word(tint * std::bit_cast<float>(noise[i])));
+    other_mottled.push_back(word(tint * std::bit_cast<float>(other_noise[i])));
+  }
+  context.other_half = other_mottled;
+  context.other_guide = other_noise;
+  EXPECT_EQ(ExpectRoundTrip(context, mottled).predictor, PlanePredictor::kOtherHalfRatio);
 }
 
 TEST(PlaneCodingTest, EqualHalvesHaveNoWidth) {
   const std::vector<uint32_t> words = {9, 0, 70000, 3};
-  std::vector<uint32_t> codes(4);
-  const PlaneLayout layout{.is_float = false, .row_px = 2};
-  EXPECT_EQ(CodePlane(layout, words, words, true, codes).width_bytes, 0);
-  ExpectRoundTrip(layout, words, words);
+  PlaneContext context;
+  context.row_px = 2;
+  context.other_half = words;
+  EXPECT_EQ(ExpectRoundTrip(context, words).width_bytes, 0);
 }
 
 TEST(PlaneCodingTest, ConstantPlanesHaveNoWidth) {
+  PlaneContext context;
+  context.is_float = true;
+  context.row_px = 8;
   for (const float value : {0.0f, 1.0f, -3.25f}) {
     const std::vector<uint32_t> words(40, std::bit_cast<uint32_t>(value));
-    std::vector<uint32_t> codes(40);
-    EXPECT_EQ(CodePlane({.is_float = true, .row_px = 8}, words, {}, true, codes).width_bytes, 0);
-    ExpectRoundTrip({.is_float = true, .row_px = 8}, words, {});
+    EXPECT_EQ(ExpectRoundTrip(context, words).width_bytes, 0);
   }
+}
+
+TEST(PlaneCodingTest, PredictorsNeedTheirPlanes) {
+  const std::vector<uint32_t> plane(4);
+  PlaneContext context;
+  context.is_float = true;
+  EXPECT_TRUE(context.Allows(PlanePredictor::kLeft));
+  EXPECT_FALSE(context.Allows(PlanePredictor::kOtherHalf));
+  EXPECT_FALSE(context.Allows(PlanePredictor::kLeftRatio));
+  context.other_half = plane;
+  context.guide = plane;
+  EXPECT_TRUE(context.Allows(PlanePredictor::kLeftRatio));
+  EXPECT_FALSE(context.Allows(PlanePredictor::kOtherHalfRatio));
+  context.other_guide = plane;
+  EXPECT_TRUE(context.Allows(PlanePredictor::kOtherHalfRatio));
+  EXPECT_FALSE(context.Allows(static_cast<PlanePredictor>(5)));
 }
 
 }  // namespace
