@@ -11,79 +11,94 @@ namespace {
 
 constexpr int kRadiusFinalPx = 8;
 constexpr int kRadiusPreviewPx = 4;
-// Errors are pooled over (2 r + 1)^2 pixels, as the calibrated variance is.
+// Errors are pooled over (2 r + 1)^2 pixels, about as many as the calibrated variance is.
 constexpr int kPoolingRadiusPx = 4;
 
 int RadiusOf(DenoiseQuality quality) {
   return quality == DenoiseQuality::kFinal ? kRadiusFinalPx : kRadiusPreviewPx;
 }
 
-// What the halves say about one candidate: its colour, and an unbiased but noisy estimate of its
-// squared error (METHODS: dual-buffer risk), per channel.
-struct Candidate {
-  Planes3 color;
-  Planes3 risk;
-  Plane relative_risk;    // summed over channels in units of the raw mean's variance
-  Plane variance_factor;  // what the weights leave of the raw mean's variance
-};
-
-// Shares of the halves in the mean of `samples` samples; half A has the odd one.
+// The share of half A, which has the odd sample, in the mean.
 float ShareOfA(uint32_t samples) {
   return static_cast<float>(samples - samples / 2) / static_cast<float>(samples);
 }
 
-// Joins the halves of bandwidth k; all planes over kernel.bounds, which lies inside the frame.
-Candidate JoinHalves(const FramePlanes& planes, const KernelOutput& kernel, int k) {
+// The joined halves, and what they say about their error. All planes are zero where fewer than two
+// samples are known.
+struct Joined {
+  Planes3 color;
+  // An unbiased but noisy estimate of the squared error, noise and bias, for each channel: E of
+  // (B - F_A)^2 is the squared error of F_A plus the variance of B; (F_A - F_B)^2 takes out what
+  // averaging F_A and F_B gains (dual-buffer risk).
+  Planes3 risk;
+  Plane relative_risk;    // summed over the channels, in units of the raw mean's variance
+  Plane variance_factor;  // what the weights leave of the raw mean's variance
+  Plane known;            // 1 or 0
+};
+
+// All planes over kernel.bounds, which lies inside the frame.
+Joined JoinHalves(const FramePlanes& planes, const KernelOutput& kernel) {
   const PixelRect& bounds = kernel.bounds;
-  Candidate candidate;
+  Joined joined;
   for (int c = 0; c < 3; ++c) {
-    candidate.color[c].resize(bounds.area());
-    candidate.risk[c].resize(bounds.area());
+    joined.color[c].resize(bounds.area());
+    joined.risk[c].resize(bounds.area());
   }
-  candidate.relative_risk.assign(bounds.area(), 0.0f);
-  candidate.variance_factor.resize(bounds.area());
+  for (Plane* plane : {&joined.relative_risk, &joined.variance_factor, &joined.known}) {
+    plane->resize(bounds.area());
+  }
+  int64_t i = 0;
   for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
-    for (int x = bounds.x_begin; x < bounds.x_end; ++x) {
-      const int64_t p = planes.bounds.IndexOf(x, y);
-      const int64_t i = bounds.IndexOf(x, y);
+    int64_t p = planes.bounds.IndexOf(bounds.x_begin, y);
+    for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++p, ++i) {
       if (planes.samples[p] < 2) continue;
       const float share_a = ShareOfA(planes.samples[p]);
       const float share_b = 1.0f - share_a;
-      candidate.variance_factor[i] = share_a * kernel.variance_factor[0][k][i] +
-                                     share_b * kernel.variance_factor[1][k][i];
+      joined.known[i] = 1;
+      joined.variance_factor[i] =
+          share_a * kernel.variance_factor[0][i] + share_b * kernel.variance_factor[1][i];
       for (int c = 0; c < 3; ++c) {
-        const float filtered_a = kernel.color[0][k][c][i];
-        const float filtered_b = kernel.color[1][k][c][i];
+        const float filtered_a = kernel.color[0][c][i];
+        const float filtered_b = kernel.color[1][c][i];
         const float variance = planes.variance[c][p];
         const float residual_a = planes.color_half[1][c][p] - filtered_a;
         const float residual_b = planes.color_half[0][c][p] - filtered_b;
         const float difference = filtered_a - filtered_b;
-        candidate.color[c][i] = share_a * filtered_a + share_b * filtered_b;
-        candidate.risk[c][i] =
-            share_a * (residual_a * residual_a - variance / share_b) +
-            share_b * (residual_b * residual_b - variance / share_a) -
-            share_a * share_b * difference * difference;
-        if (variance > 0) candidate.relative_risk[i] += candidate.risk[c][i] / variance;
+        joined.color[c][i] = share_a * filtered_a + share_b * filtered_b;
+        joined.risk[c][i] = share_a * (residual_a * residual_a - variance / share_b) +
+                            share_b * (residual_b * residual_b - variance / share_a) -
+                            share_a * share_b * difference * difference;
+        if (variance > 0) joined.relative_risk[i] += joined.risk[c][i] / variance;
       }
     }
   }
-  return candidate;
+  return joined;
 }
 
-// The mean of `plane` (over `bounds`) over the known pixels around (x, y).
-float Pool(const Plane& plane, const PixelRect& bounds, const FramePlanes& planes, int x, int y) {
-  const PixelRect around =
-      PixelRect{x, y, x + 1, y + 1}.Expand(kPoolingRadiusPx).Intersect(bounds);
-  float sum = 0;
-  int num_known = 0;
-  for (int v = around.y_begin; v < around.y_end; ++v) {
-    for (int u = around.x_begin; u < around.x_end; ++u) {
-      if (planes.samples[planes.bounds.IndexOf(u, v)] < 2) continue;
-      sum += plane[bounds.IndexOf(u, v)];
-      ++num_known;
+// The sums of `plane` (over `bounds`) over the pixels within kPoolingRadiusPx of each pixel of
+// `window`, cut at `bounds`; in an order that does not depend on the window.
+Plane PoolSums(const Plane& plane, const PixelRect& bounds, const PixelRect& window) {
+  const int width = window.width();
+  std::vector<float> padded(static_cast<size_t>(width) + 2 * kPoolingRadiusPx);
+  std::vector<float> row_sum(width);
+  Plane sums(window.area());
+  for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+    for (int x = 0; x < static_cast<int>(padded.size()); ++x) {
+      const int from = window.x_begin - kPoolingRadiusPx + x;
+      padded[x] = bounds.Contains(from, y) ? plane[bounds.IndexOf(from, y)] : 0.0f;
+    }
+    std::ranges::fill(row_sum, 0.0f);
+    for (int dx = 0; dx <= 2 * kPoolingRadiusPx; ++dx) {
+      for (int x = 0; x < width; ++x) row_sum[x] += padded[x + dx];
+    }
+    const int to_begin = std::max(y - kPoolingRadiusPx, window.y_begin);
+    const int to_end = std::min(y + kPoolingRadiusPx + 1, window.y_end);
+    for (int to = to_begin; to < to_end; ++to) {
+      float* sum = &sums[window.IndexOf(window.x_begin, to)];
+      for (int x = 0; x < width; ++x) sum[x] += row_sum[x];
     }
   }
-  return sum / static_cast<float>(std::max(num_known, 1));
+  return sums;
 }
 
 }  // namespace
@@ -95,37 +110,33 @@ int BilateralFilter::halo_px() const {
 void BilateralFilter::Filter(const FramePlanes& planes, const FrameParameters& parameters,
                              const PixelRect& window, FilteredPlanes* out) const {
   const int radius = RadiusOf(parameters.quality);
-  const PixelRect pooled = window.Expand(kPoolingRadiusPx).Intersect(parameters.frame);
-  const KernelInput input(planes, parameters.frame, pooled.Expand(radius + kPatchRadiusPx));
-  KernelOutput kernel(pooled);
+  const PixelRect bounds = window.Expand(kPoolingRadiusPx).Intersect(parameters.frame);
+  const KernelInput input(bounds.Expand(radius + kPatchRadiusPx), parameters.frame, planes);
+  KernelOutput kernel(bounds);
   RunBilateralKernel(input, radius, &kernel);
-  std::vector<Candidate> candidates;
-  for (int k = 0; k < kNumBandwidths; ++k) candidates.push_back(JoinHalves(planes, kernel, k));
+  const Joined joined = JoinHalves(planes, kernel);
+  const Plane num_known = PoolSums(joined.known, bounds, window);
+  const Plane relative_risk = PoolSums(joined.relative_risk, bounds, window);
+  Planes3 risk;
+  for (int c = 0; c < 3; ++c) risk[c] = PoolSums(joined.risk[c], bounds, window);
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
       const int64_t p = planes.bounds.IndexOf(x, y);
-      const int64_t i = pooled.IndexOf(x, y);
+      const int64_t i = bounds.IndexOf(x, y);
+      const int64_t w = window.IndexOf(x, y);
       const int64_t to = out->bounds.IndexOf(x, y);
-      const Candidate* best = nullptr;  // the raw mean
-      float least = 3.0f;
-      if (planes.samples[p] >= 2) {
-        for (const Candidate& candidate : candidates) {
-          const float risk = Pool(candidate.relative_risk, pooled, planes, x, y);
-          if (risk < least) {
-            least = risk;
-            best = &candidate;
-          }
-        }
-      }
+      const bool is_known = planes.samples[p] >= 2;
+      // The raw mean's relative risk is 1 for each of the three channels. False for NaN.
+      const bool is_better = is_known && relative_risk[w] < 3.0f * num_known[w];
       for (int c = 0; c < 3; ++c) {
-        const float variance = planes.samples[p] >= 2 ? planes.variance[c][p] : kInfinity;
-        if (best == nullptr) {
-          out->color[c][to] = planes.color[c][p];
-          out->error[c][to] = HalfWidth95(variance);
+        const float variance = planes.variance[c][p];
+        if (is_better) {
+          const float left = variance * joined.variance_factor[i];
+          out->color[c][to] = joined.color[c][i];
+          out->error[c][to] = HalfWidth95(std::max(left, risk[c][w] / num_known[w]));
         } else {
-          const float risk = Pool(best->risk[c], pooled, planes, x, y);
-          out->color[c][to] = best->color[c][i];
-          out->error[c][to] = HalfWidth95(std::max(risk, variance * best->variance_factor[i]));
+          out->color[c][to] = planes.color[c][p];
+          out->error[c][to] = is_known ? HalfWidth95(variance) : kInfinity;
         }
       }
     }

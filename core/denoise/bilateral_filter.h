@@ -11,8 +11,8 @@ namespace tessera {
 
 // Each half of the samples is averaged with weights that come from the other half and from the
 // features (albedo, shading normal, depth), so no weight depends on the noise that it multiplies.
-// Two bandwidths and the raw mean are candidates; where each is taken is decided by its estimated
-// mean squared error, pooled over 9x9 pixels: where filtering does not help, the raw mean stays.
+// Where the estimated mean squared error of the result, pooled over 9x9 pixels, is above the raw
+// mean's, the raw mean stays: filtering must not do harm.
 //
 // Error: 1.96 times the root of the mean squared error as the halves estimate it (noise and bias),
 // pooled over 9x9 pixels, and at least of the variance that the weights leave. It is an estimate

@@ -1,6 +1,7 @@
 #include "core/denoise/bilateral_kernel.h"
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "core/base/check.h"
@@ -15,11 +16,18 @@ constexpr float kVarianceMax = 0x1p110f;
 // equal noiseless pixels at 0 / positive.
 constexpr float kRoundingVariance = 0x1p-40f;
 constexpr float kTiny = 1e-30f;
-// Squared differences of features below these are never told apart however little noise there is:
-// albedo and normal in their own units, depth relative to itself.
-constexpr float kAlbedoFloor = 1e-3f;
+// Variances below which features are not told apart however little noise they have: with a floor
+// s^2 a difference of s costs a factor exp(-1/2). Albedo 0.03, normals 0.1 (6 degrees), depth 1 %
+// of itself.
+constexpr float kAlbedoFloor = 1e-2f;
 constexpr float kNormalFloor = 1e-2f;
 constexpr float kDepthFloor = 1e-4f;
+// Rows of output that are finished before the next ones begin: what they read stays in the cache.
+constexpr int kStripRows = 16;
+// Averages the distances of a patch: its pixels times the channels.
+constexpr float kPatchScale =
+    1.0f / static_cast<float>(3 * (2 * kPatchRadiusPx + 1) * (2 * kPatchRadiusPx + 1));
+static_assert(kPatchRadiusPx == 1, "Accumulate adds three rows of three");
 
 float CutVariance(float variance) { return variance < kVarianceMax ? variance : kVarianceMax; }
 
@@ -31,19 +39,23 @@ inline float Falloff(float x) {
   return fourth * fourth;
 }
 
+float MeanOfChannels(const Planes3& variance, int64_t i) {
+  return (CutVariance(variance[0][i]) + CutVariance(variance[1][i]) +
+          CutVariance(variance[2][i])) /
+         3;
+}
+
 }  // namespace
 
-KernelInput::KernelInput(const FramePlanes& planes, const PixelRect& frame,
-                         const PixelRect& rect)
+KernelInput::KernelInput(const PixelRect& rect, const PixelRect& frame, const FramePlanes& planes)
     : bounds(rect) {
   const size_t area = static_cast<size_t>(bounds.area());
-  for (Planes3& half : color) {
-    for (Plane& plane : half) plane.resize(area);
+  for (Planes3* three : {&color[0], &color[1], &variance, &albedo, &normal}) {
+    for (Plane& plane : *three) plane.resize(area);
   }
-  for (Plane& plane : variance) plane.resize(area);
-  for (Plane& plane : feature) plane.resize(area);
-  for (Plane& plane : feature_variance) plane.resize(area);
-  known.resize(area);
+  for (Plane* plane : {&depth, &albedo_variance, &normal_variance, &depth_variance, &known}) {
+    plane->resize(area);
+  }
   size_t to = 0;
   for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
     for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++to) {
@@ -57,192 +69,205 @@ KernelInput::KernelInput(const FramePlanes& planes, const PixelRect& frame,
         const float mean = std::min(planes.color[c][from], kValueMax);
         variance[c][to] = 2 * CutVariance(planes.variance[c][from]) +
                           kRoundingVariance * mean * mean + kTiny;
-        feature[c][to] = planes.albedo[c][from];
-        feature[3 + c][to] = planes.normal[c][from];
-        feature_variance[c][to] = CutVariance(planes.albedo_variance[c][from]) + kAlbedoFloor;
-        feature_variance[3 + c][to] = CutVariance(planes.normal_variance[c][from]) + kNormalFloor;
+        albedo[c][to] = planes.albedo[c][from];
+        normal[c][to] = planes.normal[c][from];
       }
-      const float depth = planes.depth[from];
-      feature[6][to] = depth;
-      feature_variance[6][to] =
-          CutVariance(planes.depth_variance[from]) + kDepthFloor * depth * depth + kTiny;
+      albedo_variance[to] = MeanOfChannels(planes.albedo_variance, from) + kAlbedoFloor;
+      normal_variance[to] = MeanOfChannels(planes.normal_variance, from) + kNormalFloor;
+      depth[to] = planes.depth[from];
+      depth_variance[to] = CutVariance(planes.depth_variance[from]) +
+                           kDepthFloor * depth[to] * depth[to] + kTiny;
     }
   }
 }
 
 KernelOutput::KernelOutput(const PixelRect& rect) : bounds(rect) {
   for (int half = 0; half < kNumHalves; ++half) {
-    for (int k = 0; k < kNumBandwidths; ++k) {
-      for (Plane& plane : color[half][k]) plane.assign(bounds.area(), 0.0f);
-      variance_factor[half][k].assign(bounds.area(), 0.0f);
-    }
+    for (Plane& plane : color[half]) plane.assign(bounds.area(), 0.0f);
+    variance_factor[half].assign(bounds.area(), 0.0f);
   }
 }
 
 namespace {
 
-// One pass over all offsets for the pixels of out->bounds.
-class KernelRun {
+// A neighbour's place: in the input's planes, and by its weight.
+struct Offset {
+  int64_t shift;
+  float weight;
+};
+
+// Rows [y_begin, y_end) of the output, counted from its top; one pass over all offsets.
+class Strip {
  public:
-  KernelRun(const KernelInput& input, KernelOutput* out)
+  Strip(const KernelInput& input, int y_begin, int y_end, KernelOutput* out)
       : in_(input),
         out_(*out),
-        in_stride_(input.bounds.width()),
         width_(out->bounds.width()),
-        height_(out->bounds.height()),
+        y_begin_(y_begin),
+        num_rows_(y_end - y_begin),
         patch_stride_(width_ + 2 * kPatchRadiusPx),
-        feature_distance_(out->bounds.area()) {
-    const size_t patch_area =
-        static_cast<size_t>(patch_stride_) * static_cast<size_t>(height_ + 2 * kPatchRadiusPx);
+        feature_distance_(width_),
+        weight_(width_) {
+    const int64_t patch_area = int64_t{patch_stride_} * (num_rows_ + 2 * kPatchRadiusPx);
     for (int half = 0; half < kNumHalves; ++half) {
       pixel_distance_[half].resize(patch_area);
-      for (int k = 0; k < kNumBandwidths; ++k) {
-        weight_sum_[half][k].assign(out->bounds.area(), 0.0f);
-      }
+      weight_sum_[half].assign(int64_t{width_} * num_rows_, 0.0f);
     }
   }
 
-  void AddOffset(int dx, int dy) {
-    const int64_t shift = int64_t{dy} * in_stride_ + dx;
-    MeasureColors(shift);
-    for (int y = 0; y < height_; ++y) {
-      MeasureFeatures(y, shift);
-      for (int half = 0; half < kNumHalves; ++half) AccumulateRow(half, y, shift);
+  void AddNeighbours(const Offset& offset) {
+    for (int row = -kPatchRadiusPx; row < num_rows_ + kPatchRadiusPx; ++row) {
+      MeasureColors(row, offset.shift);
+    }
+    for (int row = 0; row < num_rows_; ++row) {
+      MeasureFeatures(row, offset.shift);
+      for (int half = 0; half < kNumHalves; ++half) Accumulate(half, row, offset);
     }
   }
 
   void Finish() {
     for (int half = 0; half < kNumHalves; ++half) {
-      for (int k = 0; k < kNumBandwidths; ++k) {
-        for (int y = 0; y < height_; ++y) FinishRow(half, k, y);
-      }
+      for (int row = 0; row < num_rows_; ++row) FinishRow(half, row);
     }
   }
 
  private:
-  // Index in the input of the output's pixel (x, y).
-  int64_t InputIndex(int x, int y) const {
-    return in_.bounds.IndexOf(out_.bounds.x_begin + x, out_.bounds.y_begin + y);
+  int64_t InputIndex(int x, int row) const {
+    return in_.bounds.IndexOf(out_.bounds.x_begin + x, out_.bounds.y_begin + y_begin_ + row);
   }
+  int64_t OutputIndex(int row) const { return int64_t{y_begin_ + row} * width_; }
 
   // Each half's squared colour difference between p and p + shift, less what noise alone explains,
-  // in units of that noise; averaged over the channels; for the output's pixels and a patch around.
-  void MeasureColors(int64_t shift) {
-    for (int y = -kPatchRadiusPx; y < height_ + kPatchRadiusPx; ++y) {
-      const int64_t p = InputIndex(-kPatchRadiusPx, y);
-      const int64_t to = int64_t{y + kPatchRadiusPx} * patch_stride_;
-      float* __restrict distance_a = pixel_distance_[0].data() + to;
-      float* __restrict distance_b = pixel_distance_[1].data() + to;
-      const float* known_p = in_.known.data() + p;
-      const float* known_q = known_p + shift;
-      for (int x = 0; x < patch_stride_; ++x) distance_a[x] = distance_b[x] = 0;
-      for (int c = 0; c < 3; ++c) {
-        const float* a_p = in_.color[0][c].data() + p;
-        const float* a_q = a_p + shift;
-        const float* b_p = in_.color[1][c].data() + p;
-        const float* b_q = b_p + shift;
-        const float* v_p = in_.variance[c].data() + p;
-        const float* v_q = v_p + shift;
-        for (int x = 0; x < patch_stride_; ++x) {
-          const float expected = v_p[x] + std::min(v_p[x], v_q[x]);
-          const float scale = known_p[x] * known_q[x] / (v_p[x] + v_q[x]);
-          const float a = a_p[x] - a_q[x];
-          const float b = b_p[x] - b_q[x];
-          distance_a[x] += (a * a - expected) * scale;
-          distance_b[x] += (b * b - expected) * scale;
-        }
-      }
-    }
-  }
-
-  // The features' squared difference in units of their noise and floors.
-  void MeasureFeatures(int y, int64_t shift) {
-    const int64_t p = InputIndex(0, y);
-    float* __restrict distance = feature_distance_.data();
-    for (int x = 0; x < width_; ++x) distance[x] = 0;
-    for (size_t f = 0; f < in_.feature.size(); ++f) {
-      const float* f_p = in_.feature[f].data() + p;
-      const float* f_q = f_p + shift;
-      const float* v_p = in_.feature_variance[f].data() + p;
+  // in units of that noise, summed over the channels; for a row and the patches at its ends.
+  void MeasureColors(int row, int64_t shift) {
+    const int64_t p = InputIndex(-kPatchRadiusPx, row);
+    const int64_t to = int64_t{row + kPatchRadiusPx} * patch_stride_;
+    float* __restrict distance_a = pixel_distance_[0].data() + to;
+    float* __restrict distance_b = pixel_distance_[1].data() + to;
+    const float* known_p = in_.known.data() + p;
+    const float* known_q = known_p + shift;
+    for (int c = 0; c < 3; ++c) {
+      const float* a_p = in_.color[0][c].data() + p;
+      const float* a_q = a_p + shift;
+      const float* b_p = in_.color[1][c].data() + p;
+      const float* b_q = b_p + shift;
+      const float* v_p = in_.variance[c].data() + p;
       const float* v_q = v_p + shift;
-      for (int x = 0; x < width_; ++x) {
-        const float d = f_p[x] - f_q[x];
-        distance[x] += d * d / (v_p[x] + v_q[x]);
+      const float keep = c == 0 ? 0.0f : 1.0f;
+      for (int x = 0; x < patch_stride_; ++x) {
+        const float expected = v_p[x] + std::min(v_p[x], v_q[x]);
+        const float scale = known_p[x] * known_q[x] / (v_p[x] + v_q[x]);
+        const float a = a_p[x] - a_q[x];
+        const float b = b_p[x] - b_q[x];
+        distance_a[x] = keep * distance_a[x] + (a * a - expected) * scale;
+        distance_b[x] = keep * distance_b[x] + (b * b - expected) * scale;
       }
     }
   }
 
-  // Adds the neighbours at `shift` to the sums of `half`, weighted by the other half's distance.
-  void AccumulateRow(int half, int y, int64_t shift) {
-    const float* rows[3];
-    for (int i = 0; i < 3; ++i) {
-      rows[i] = pixel_distance_[1 - half].data() + int64_t{y + i} * patch_stride_;
-    }
-    const int64_t q = InputIndex(0, y) + shift;
-    const float* known_q = in_.known.data() + q;
-    const float* red = in_.color[half][0].data() + q;
-    const float* green = in_.color[half][1].data() + q;
-    const float* blue = in_.color[half][2].data() + q;
-    const int64_t to = int64_t{y} * width_;
-    for (int k = 0; k < kNumBandwidths; ++k) {
-      // The mean over 3 channels and 9 pixels of the patch.
-      const float scale = 1.0f / (27.0f * kSquaredBandwidths[k]);
-      float* __restrict weight_sum = weight_sum_[half][k].data() + to;
-      float* __restrict square_sum = out_.variance_factor[half][k].data() + to;
-      float* __restrict red_sum = out_.color[half][k][0].data() + to;
-      float* __restrict green_sum = out_.color[half][k][1].data() + to;
-      float* __restrict blue_sum = out_.color[half][k][2].data() + to;
-      const float* __restrict feature = feature_distance_.data();
-      for (int x = 0; x < width_; ++x) {
-        const float patch = (rows[0][x] + rows[0][x + 1] + rows[0][x + 2]) +
-                            (rows[1][x] + rows[1][x + 1] + rows[1][x + 2]) +
-                            (rows[2][x] + rows[2][x + 1] + rows[2][x + 2]);
-        const float weight =
-            known_q[x] * Falloff(std::max(0.0f, patch * scale) + feature[x]);
-        weight_sum[x] += weight;
-        square_sum[x] += weight * weight;
-        red_sum[x] += weight * red[x];
-        green_sum[x] += weight * green[x];
-        blue_sum[x] += weight * blue[x];
-      }
-    }
-  }
-
-  void FinishRow(int half, int k, int y) {
-    const int64_t p = InputIndex(0, y);
-    const int64_t to = int64_t{y} * width_;
+  // The features' squared differences in units of their noise and floors.
+  void MeasureFeatures(int row, int64_t shift) {
+    const int64_t p = InputIndex(0, row);
+    float* __restrict distance = feature_distance_.data();
+    const float* z = in_.depth.data() + p;
+    const float* v = in_.depth_variance.data() + p;
     for (int x = 0; x < width_; ++x) {
-      const float weight_sum = weight_sum_[half][k][to + x];
+      const float d = z[x] - z[x + shift];
+      distance[x] = d * d / (v[x] + v[x + shift]);
+    }
+    AddDistance(in_.albedo, in_.albedo_variance, p, shift);
+    AddDistance(in_.normal, in_.normal_variance, p, shift);
+  }
+
+  void AddDistance(const Planes3& feature, const Plane& variance, int64_t p, int64_t shift) {
+    float* __restrict distance = feature_distance_.data();
+    const float* f0 = feature[0].data() + p;
+    const float* f1 = feature[1].data() + p;
+    const float* f2 = feature[2].data() + p;
+    const float* v = variance.data() + p;
+    for (int x = 0; x < width_; ++x) {
+      const float d0 = f0[x] - f0[x + shift];
+      const float d1 = f1[x] - f1[x + shift];
+      const float d2 = f2[x] - f2[x + shift];
+      distance[x] += (d0 * d0 + d1 * d1 + d2 * d2) / (v[x] + v[x + shift]);
+    }
+  }
+
+  // Adds the neighbours of a row to the sums of `half`, weighted by the other half's distance.
+  void Accumulate(int half, int row, const Offset& offset) {
+    const float* above = pixel_distance_[1 - half].data() + int64_t{row} * patch_stride_;
+    const float* middle = above + patch_stride_;
+    const float* below = middle + patch_stride_;
+    const float* feature = feature_distance_.data();
+    const int64_t q = InputIndex(0, row) + offset.shift;
+    const float* known = in_.known.data() + q;
+    const int64_t to = OutputIndex(row);
+    float* __restrict weight = weight_.data();
+    float* __restrict weight_sum = weight_sum_[half].data() + int64_t{row} * width_;
+    float* __restrict square_sum = out_.variance_factor[half].data() + to;
+    for (int x = 0; x < width_; ++x) {
+      const float patch = (above[x] + above[x + 1] + above[x + 2]) +
+                          (middle[x] + middle[x + 1] + middle[x + 2]) +
+                          (below[x] + below[x + 1] + below[x + 2]);
+      weight[x] = offset.weight * known[x] *
+                  Falloff(std::max(0.0f, patch * kPatchScale) + feature[x]);
+      weight_sum[x] += weight[x];
+      square_sum[x] += weight[x] * weight[x];
+    }
+    for (int c = 0; c < 3; ++c) {
+      const float* color = in_.color[half][c].data() + q;
+      float* __restrict sum = out_.color[half][c].data() + to;
+      for (int x = 0; x < width_; ++x) sum[x] += weight[x] * color[x];
+    }
+  }
+
+  void FinishRow(int half, int row) {
+    const int64_t p = InputIndex(0, row);
+    const int64_t to = OutputIndex(row);
+    for (int x = 0; x < width_; ++x) {
+      const float weight_sum = weight_sum_[half][int64_t{row} * width_ + x];
       const bool is_filtered = in_.known[p + x] > 0 && weight_sum > 0;
       for (int c = 0; c < 3; ++c) {
-        float& value = out_.color[half][k][c][to + x];
+        float& value = out_.color[half][c][to + x];
         value = is_filtered ? value / weight_sum : in_.color[half][c][p + x];
       }
-      float& factor = out_.variance_factor[half][k][to + x];
+      float& factor = out_.variance_factor[half][to + x];
       factor = is_filtered ? factor / (weight_sum * weight_sum) : 1.0f;
     }
   }
 
   const KernelInput& in_;
   KernelOutput& out_;
-  const int in_stride_;
   const int width_;
-  const int height_;
+  const int y_begin_;
+  const int num_rows_;
   const int patch_stride_;
-  std::array<std::vector<float>, kNumHalves> pixel_distance_;
-  std::vector<float> feature_distance_;
-  std::array<std::array<std::vector<float>, kNumBandwidths>, kNumHalves> weight_sum_;
+  std::array<std::vector<float>, kNumHalves> pixel_distance_;  // a patch radius around the strip
+  std::vector<float> feature_distance_;                        // of one row
+  std::vector<float> weight_;                                  // of one row
+  std::array<std::vector<float>, kNumHalves> weight_sum_;
 };
 
 }  // namespace
 
 void RunBilateralKernel(const KernelInput& input, int radius_px, KernelOutput* out) {
   TESSERA_CHECK(input.bounds.Contains(out->bounds.Expand(radius_px + kPatchRadiusPx)));
-  KernelRun run(input, out);
+  // sigma = radius / 2: 2 sigma^2 = radius^2 / 2.
+  const float falloff = 2.0f / static_cast<float>(radius_px * radius_px);
+  std::vector<Offset> offsets;
   for (int dy = -radius_px; dy <= radius_px; ++dy) {
-    for (int dx = -radius_px; dx <= radius_px; ++dx) run.AddOffset(dx, dy);
+    for (int dx = -radius_px; dx <= radius_px; ++dx) {
+      const int64_t shift = int64_t{dy} * input.bounds.width() + dx;
+      const float weight = Falloff(static_cast<float>(dx * dx + dy * dy) * falloff);
+      offsets.push_back({shift, weight});
+    }
   }
-  run.Finish();
+  const int height = out->bounds.height();
+  for (int y = 0; y < height; y += kStripRows) {
+    Strip strip(input, y, std::min(y + kStripRows, height), out);
+    for (const Offset& offset : offsets) strip.AddNeighbours(offset);
+    strip.Finish();
+  }
 }
 
 }  // namespace tessera
