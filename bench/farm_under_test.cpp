@@ -1,0 +1,94 @@
+#include "bench/farm_under_test.h"
+
+#include <unistd.h>
+
+#include <chrono>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <sstream>
+#include <thread>
+
+namespace tessera {
+namespace {
+
+// User and system time of a process, all its threads together.
+double CpuSecondsOf(pid_t pid) {
+  std::ifstream file("/proc/" + std::to_string(pid) + "/stat");
+  const std::string line((std::istreambuf_iterator<char>(file)), {});
+  std::istringstream fields(line.substr(line.rfind(')') + 2));  // from field 3 on
+  std::string field;
+  for (int i = 3; i < 14; ++i) fields >> field;
+  double user_ticks = 0;
+  double system_ticks = 0;
+  fields >> user_ticks >> system_ticks;
+  return (user_ticks + system_ticks) / static_cast<double>(sysconf(_SC_CLK_TCK));
+}
+
+int64_t PeakBytesOf(pid_t pid) {
+  std::ifstream file("/proc/" + std::to_string(pid) + "/status");
+  for (std::string line; std::getline(file, line);) {
+    if (line.starts_with("VmHWM:")) return std::stoll(line.substr(6)) * 1024;
+  }
+  return 0;
+}
+
+}  // namespace
+
+void Die(const std::string& line) {
+  std::fprintf(stderr, "error: %s\n", line.c_str());
+  std::exit(1);
+}
+
+FarmUnderTest::FarmUnderTest(int worker_threads)
+    : server_(directory_.path()),
+      client_(server_.Channel()),
+      images_(v1::ImageService::NewStub(server_.Channel())),
+      worker_(StartWorkerProcess(server_.address(), directory_.path() + "/worker.log",
+                                 worker_threads)) {
+  if (!Eventually([&] { return client_.Workers().size() == 1; })) Die("the worker did not come");
+}
+
+v1::AssetRef FarmUnderTest::Upload(const std::string& path) {
+  return client_.Upload(std::filesystem::path(path).filename(), ReadFile(path));
+}
+
+std::string FarmUnderTest::Create(const v1::JobSettings& settings) {
+  return client_.MustCreate(settings).name();
+}
+
+v1::Job FarmUnderTest::WaitForEnd(const std::string& job) {
+  while (true) {
+    const v1::Job now = client_.Get(job);
+    if (now.state() == v1::JOB_STATE_DONE || now.state() == v1::JOB_STATE_FAILED ||
+        now.state() == v1::JOB_STATE_CANCELLED || now.name().empty()) {
+      return now;
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(250));
+  }
+}
+
+void FarmUnderTest::WaitForSamples(const std::string& job) {
+  client_.WatchUntil(job, [](const v1::Job& now) { return now.progress().samples() > 0; });
+}
+
+bool FarmUnderTest::FetchPicture(const std::string& job, v1::ImageHeader* header) {
+  v1::GetImageRequest request;
+  request.set_job(job);
+  grpc::ClientContext context;
+  const auto reader = images_->GetImage(&context, request);
+  v1::GetImageResponse response;
+  while (reader->Read(&response)) {
+    if (response.has_header()) *header = response.header();
+  }
+  return reader->Finish().ok();
+}
+
+double FarmUnderTest::ServerCpuSeconds() const { return CpuSecondsOf(server_.process().pid()); }
+double FarmUnderTest::WorkerCpuSeconds() const { return CpuSecondsOf(worker_->pid()); }
+int64_t FarmUnderTest::ServerPeakBytes() const { return PeakBytesOf(server_.process().pid()); }
+int64_t FarmUnderTest::WorkerPeakBytes() const { return PeakBytesOf(worker_->pid()); }
+
+}  // namespace tessera
