@@ -1,9 +1,20 @@
 #include "worker/session/render_pool.h"
 
-#include <chrono>
+#include <time.h>
+
 #include <utility>
 
 namespace tessera {
+namespace {
+
+// CPU time of this thread: what the lease cost, however busy the machine is.
+int64_t ThreadNanoseconds() {
+  timespec now = {};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return int64_t{now.tv_sec} * 1000000000 + now.tv_nsec;
+}
+
+}  // namespace
 
 RenderPool::RenderPool(int threads, DeltaEncoding encoding, Done done)
     : encoding_(encoding), done_(std::move(done)) {
@@ -65,12 +76,12 @@ absl::StatusOr<v1::TileDelta> RenderPool::Render(const Task& task) const {
       PixelRect::FromSize(region.x(), region.y(), region.width(), region.height());
   const SampleRange range{task.lease.sample_begin(), task.lease.sample_end()};
 
-  const auto begin = std::chrono::steady_clock::now();
+  const int64_t begin = ThreadNanoseconds();
   RenderCounters counters;
   const absl::StatusOr<TileStatistics> tile =
       task.renderer->Render(window, range, &task.cancelled, &counters);
   if (!tile.ok()) return tile.status();
-  const auto elapsed = std::chrono::steady_clock::now() - begin;
+  const int64_t nanoseconds = ThreadNanoseconds() - begin;
 
   EncodedDelta encoded = EncodeDelta(*tile, encoding_);
   v1::TileDelta delta;
@@ -85,8 +96,6 @@ absl::StatusOr<v1::TileDelta> RenderPool::Render(const Task& task) const {
   delta.set_payload_bytes(encoded.payload_bytes);
   delta.set_rays(counters.rays);
   delta.set_non_finite(counters.non_finite);
-  const int64_t nanoseconds =
-      std::chrono::duration_cast<std::chrono::nanoseconds>(elapsed).count();
   delta.mutable_render_time()->set_seconds(nanoseconds / 1000000000);
   delta.mutable_render_time()->set_nanos(static_cast<int32_t>(nanoseconds % 1000000000));
   return delta;
