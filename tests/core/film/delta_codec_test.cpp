@@ -9,6 +9,7 @@
 #include <limits>
 #include <random>
 
+#include "absl/strings/escaping.h"
 #include "tests/core/film/sample_streams.h"
 
 namespace tessera {
@@ -109,6 +110,35 @@ TEST(DeltaCodecTest, SizesAreWithinTheLimits) {
   }
   EXPECT_LE(static_cast<double>(EncodeDelta(tile, DeltaEncoding::kPackedZstd).payload.size()),
             80 * area);
+}
+
+// The example of docs/delta-format.md, byte for byte: the format cannot change unnoticed.
+TEST(DeltaCodecTest, TheExampleOfTheDocumentation) {
+  TileStatistics tile({0, 0, 2, 1}, {0, 2});
+  PixelFolder folder;
+  for (int x = 0; x < 2; ++x) {
+    folder.Begin(tile.range());
+    for (int i = 0; i < 2; ++i) {
+      PixelSample sample;
+      for (float& channel : sample.radiance) channel = static_cast<float>(x + 1) + 0.5f * i;
+      if (x == 0) {
+        for (float& channel : sample.albedo) channel = 0.5f;
+        sample.normal[1] = 1;
+        sample.depth = 4;
+        sample.material_id = 3;
+      }
+      folder.Add(sample);
+    }
+    folder.Store(x, 0, &tile);
+  }
+  EXPECT_EQ(absl::BytesToHexString(EncodeDelta(tile, DeltaEncoding::kPacked).payload),
+            "010001187f01187f01187f00000000000000000001193f01193f01193f000000000000000000"
+            "00000001187f0000000000000000000000000118810100000001000101000300000101"
+            "16fe030116fe030116fe0300000000000000000001193f01193f01193f000000000000000000"
+            "00000001187f0000000000000000000000000118810100000001000101000300000"
+            "101020102010201040104010401000100010001000100010001000100010001000100"
+            "010001000100"
+            "6eacc6610bdb8738");
 }
 
 TEST(DeltaCodecTest, EncodingIsDeterministic) {
