@@ -35,6 +35,7 @@ class FarmFaults : public testing::Test {
 
 TEST_F(FarmFaults, ADyingServerEndsAWatchWithUnavailable) {
   const auto worker = StartWorker();
+  ASSERT_TRUE(Eventually([&] { return client_.Workers().size() == 1; }));
   v1::WatchJobRequest request;
   request.set_name(Begin(1 << 20));
   grpc::ClientContext context;
@@ -68,7 +69,7 @@ TEST_F(FarmFaults, AServerToldToStopEndsWatchesAndExitsCleanly) {
 TEST_F(FarmFaults, SlowWatchersDoNotGrowMemory) {
   // Watchers that never read, on a job whose messages are large (its settings are repeated in each).
   v1::AssetRef scene = client_.UploadScene(kSceneName);
-  v1::JobSettings settings = SmallJob(scene, 2048, 16);
+  v1::JobSettings settings = SmallJob(scene, kSpp, 16);
   for (int i = 0; i < 200; ++i) {
     scene.set_name("copy" + std::to_string(i) + std::string(1000, 'x'));
     *settings.add_assets() = scene;
@@ -91,8 +92,8 @@ TEST_F(FarmFaults, SlowWatchersDoNotGrowMemory) {
   const v1::Job done = client_.Watch(name);
   const int64_t late_bytes = server_.process().ResidentBytes();
   EXPECT_EQ(done.state(), v1::JOB_STATE_DONE) << done.error();
-  // A queue of all revisions would hold gigabytes; a latest-wins slot and a socket's buffers, a few
-  // messages for each watcher.
+  // Each of some 200 revisions has 220 kB: queues of all of them would hold 350 MB; a latest-wins
+  // slot and a socket's buffers hold a few for each watcher.
   EXPECT_LT(late_bytes - early_bytes, int64_t{64} << 20);
   for (grpc::ClientContext& context : contexts) context.TryCancel();
 }
@@ -102,11 +103,9 @@ class RogueWorker {
  public:
   explicit RogueWorker(RpcClient& client) : stream_(client.workers().Work(&context_)) {}
   ~RogueWorker() {
+    if (ended_) return;
     context_.TryCancel();
-    v1::CoordinatorMessage message;
-    while (stream_->Read(&message)) {
-    }
-    stream_->Finish();
+    End();
   }
   bool SayHello() {
     v1::WorkerMessage message;
@@ -128,6 +127,7 @@ class RogueWorker {
   }
   void Write(const v1::WorkerMessage& message) { stream_->Write(message); }
   grpc::StatusCode End() {
+    ended_ = true;
     stream_->WritesDone();
     v1::CoordinatorMessage message;
     while (stream_->Read(&message)) {
@@ -136,6 +136,7 @@ class RogueWorker {
   }
 
  private:
+  bool ended_ = false;
   grpc::ClientContext context_;
   std::unique_ptr<grpc::ClientReaderWriter<v1::WorkerMessage, v1::CoordinatorMessage>> stream_;
 };
