@@ -6,6 +6,7 @@
 #include <atomic>
 #include <chrono>
 #include <cstdio>
+#include <ctime>
 #include <filesystem>
 #include <memory>
 #include <string>
@@ -147,15 +148,18 @@ absl::Status Run(const Options& options) {
   const double built = Seconds();
   FramePlanes planes(PixelRect::FromSize(0, 0, options.width, options.height));
   RenderCounters counters;
+  const std::clock_t cpu_start = std::clock();
   if (absl::Status s = RenderFrame(**tracer, options, &planes, &counters); !s.ok()) return s;
   const double seconds = Seconds() - built;
+  const double cpu_seconds = static_cast<double>(std::clock() - cpu_start) / CLOCKS_PER_SEC;
   std::printf(
-      "%lld triangles, load %.2f s, build %.2f s, %.0f MB; render %.2f s, %.3f Msamples/s, "
-      "%.2f Mrays/s, %.2f rays/sample, %lld non-finite\n",
+      "%lld triangles, load %.2f s, build %.2f s, %.0f MB; render %.2f s (CPU %.2f s), "
+      "%.3f Msamples/s, %.2f Mrays/s, %.0f CPU ns/ray, %.2f rays/sample, %lld non-finite\n",
       static_cast<long long>(triangles), loaded - start, built - loaded,
-      static_cast<double>((*tracer)->memory_bytes()) / 1e6, seconds,
+      static_cast<double>((*tracer)->memory_bytes()) / 1e6, seconds, cpu_seconds,
       static_cast<double>(counters.samples) / seconds / 1e6,
       static_cast<double>(counters.rays) / seconds / 1e6,
+      cpu_seconds / static_cast<double>(counters.rays) * 1e9,
       static_cast<double>(counters.rays) / static_cast<double>(counters.samples),
       static_cast<long long>(counters.non_finite));
   const Image picture = PictureOf(planes);
