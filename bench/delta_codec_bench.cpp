@@ -27,13 +27,13 @@ PixelSample DrawSample(int x, int y, bool smooth, std::mt19937_64& random) {
   const bool left = x < 3 * kTilePx / 4;
   const float jitter = smooth ? 0.0f : 1.0f;
   for (int c = 0; c < 3; ++c) {
-    sample.albedo[c] = 0.5f + (left ? 0.2f : -0.1f) * static_cast<float>(c) / 2 +
-                       jitter * 0.02f * normal(random);
+    sample.albedo[c] =
+        0.5f + (left ? 0.2f : -0.1f) * static_cast<float>(c) / 2 + jitter * 0.02f * normal(random);
     sample.radiance[c] = sample.albedo[c] * std::exp(normal(random));
     sample.normal[c] = (left ? 0.57735f : (c == 1 ? 1.0f : 0.0f)) + jitter * 0.01f * normal(random);
   }
-  sample.depth = 4.0f + 0.01f * (static_cast<float>(x) + static_cast<float>(y)) +
-                 0.003f * normal(random);
+  sample.depth =
+      4.0f + 0.01f * (static_cast<float>(x) + static_cast<float>(y)) + 0.003f * normal(random);
   sample.material_id = left ? 3 : 7;
   return sample;
 }
@@ -75,8 +75,8 @@ void Encode(benchmark::State& state, const TileStatistics& tile, DeltaEncoding e
 void Decode(benchmark::State& state, const TileStatistics& tile, DeltaEncoding encoding) {
   const EncodedDelta delta = EncodeDelta(tile, encoding);
   for (auto _ : state) {
-    const auto decoded = DecodeDelta(tile.window(), tile.range(),
-                                     static_cast<uint32_t>(encoding), delta.payload);
+    const auto decoded =
+        DecodeDelta(tile.window(), tile.range(), static_cast<uint32_t>(encoding), delta.payload);
     benchmark::DoNotOptimize(decoded.ok());
   }
   SetPerPixel(state, tile.num_pixels());
@@ -132,9 +132,8 @@ std::optional<TileStatistics> ReadDelta(const std::string& argument) {
   const size_t comma = argument.find(',');
   int width, height;
   long long begin, end;
-  if (comma == std::string::npos ||
-      std::sscanf(argument.c_str() + comma, ",%d,%d,%lld,%lld", &width, &height, &begin, &end) !=
-          4) {
+  if (comma == std::string::npos || std::sscanf(argument.c_str() + comma, ",%d,%d,%lld,%lld",
+                                                &width, &height, &begin, &end) != 4) {
     return std::nullopt;
   }
   std::ifstream file(argument.substr(0, comma), std::ios::binary);

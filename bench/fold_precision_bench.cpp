@@ -85,8 +85,8 @@ void Print(const char* stream, int mean_bits, int msd_bits, const Node& node,
     const double offset = reference.sum[i] / n;
     const double msd = reference.sum_of_squares[i] / n - offset * offset;
     const double mean = reference.shift + offset;
-    mean_error = std::fmax(mean_error,
-                           std::fabs(node.mean[i] - mean) / (std::fabs(mean) + std::sqrt(msd)));
+    mean_error =
+        std::fmax(mean_error, std::fabs(node.mean[i] - mean) / (std::fabs(mean) + std::sqrt(msd)));
     msd_error = std::fmax(msd_error, std::fabs(node.msd[i] / msd - 1));
   }
   std::printf("%-24s %9d %8d   %.1e   %.1e\n", stream, mean_bits, msd_bits, mean_error, msd_error);
@@ -116,8 +116,12 @@ void Measure(const char* name, Stream stream, double mean_over_sd, int64_t count
         case Stream::kNormal:
           samples[j] = static_cast<float>(mean_over_sd) + scale * normal(random);
           break;
-        case Stream::kLognormal: samples[j] = scale * std::exp(1.5f * normal(random)); break;
-        case Stream::kRare: samples[j] = uniform(random) < 1e-3f ? scale : 0.0f; break;
+        case Stream::kLognormal:
+          samples[j] = scale * std::exp(1.5f * normal(random));
+          break;
+        case Stream::kRare:
+          samples[j] = uniform(random) < 1e-3f ? scale : 0.0f;
+          break;
       }
     }
     reference.Add(samples);

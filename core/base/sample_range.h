@@ -37,7 +37,8 @@ inline std::vector<SampleRange> MaximalNodes(SampleRange range) {
     const uint64_t left = static_cast<uint64_t>(range.size());
     uint64_t size = std::bit_floor(left);
     if (range.begin != 0) {
-      const uint64_t alignment = uint64_t{1} << std::countr_zero(static_cast<uint64_t>(range.begin));
+      const uint64_t alignment = uint64_t{1}
+                                 << std::countr_zero(static_cast<uint64_t>(range.begin));
       if (alignment < size) size = alignment;
     }
     nodes.push_back({range.begin, range.begin + static_cast<int64_t>(size)});

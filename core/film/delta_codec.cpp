@@ -29,7 +29,7 @@ constexpr int kCompressionLevel = 1;
 constexpr int kFirstCountPlane = kNumFloatPlanes;
 constexpr int kNumPlanes = kFirstCountPlane + kNumCountPlanes;
 constexpr int kVarintBytesMax = 10;
-constexpr float kMeanMax = 2 * 0x1p60f;       // twice what samples allow: room for rounding
+constexpr float kMeanMax = 2 * 0x1p60f;  // twice what samples allow: room for rounding
 constexpr float kMsdMax = kMeanMax * kMeanMax;
 
 // Planes of one quantity share their streams. Colours' channels rise and fall together, so each
@@ -56,9 +56,7 @@ constexpr int kNumChannelsMax = 3;
 
 using PlaneCodings = std::array<std::array<PlaneCoding, kNumPlanes>, kNumHalves>;
 
-bool IsMsdPlane(int plane) {
-  return plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3);
-}
+bool IsMsdPlane(int plane) { return plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3); }
 
 // The planes of one quantity in both halves, as words and as codes.
 struct QuantityPlanes {
@@ -96,9 +94,8 @@ void CopyWords(const TileStatistics& tile, int half, int plane, std::vector<uint
 }
 
 void StoreWords(const std::vector<uint32_t>& words, int half, int plane, TileStatistics* tile) {
-  void* to = plane < kFirstCountPlane
-                 ? static_cast<void*>(tile->Floats(half, plane).data())
-                 : tile->Counts(half, plane - kFirstCountPlane).data();
+  void* to = plane < kFirstCountPlane ? static_cast<void*>(tile->Floats(half, plane).data())
+                                      : tile->Counts(half, plane - kFirstCountPlane).data();
   std::memcpy(to, words.data(), words.size() * sizeof(uint32_t));
 }
 
@@ -190,16 +187,16 @@ void VisitStream(const Quantity& quantity, int byte_index, const PlaneCodings& c
 }
 
 absl::Status Malformed(std::string_view what) {
-  return absl::InvalidArgumentError(absl::StrCat(
-      "delta: ", absl::string_view(what.data(), what.size()),
-      "; it was damaged on its way or comes from another version: send it again"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("delta: ", absl::string_view(what.data(), what.size()),
+                   "; it was damaged on its way or comes from another version: send it again"));
 }
 
 void AppendCodings(const PlaneCodings& codings, std::string* payload) {
   for (const auto& half_codings : codings) {
     for (const PlaneCoding& coding : half_codings) {
-      payload->push_back(static_cast<char>(coding.width_bytes |
-                                           (static_cast<uint8_t>(coding.predictor) << 3)));
+      payload->push_back(
+          static_cast<char>(coding.width_bytes | (static_cast<uint8_t>(coding.predictor) << 3)));
       payload->push_back(static_cast<char>(coding.shift));
       AppendVarint(coding.base, payload);
     }
@@ -374,8 +371,8 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
   tile.non_finite = static_cast<int64_t>(non_finite);
   QuantityPlanes planes(static_cast<size_t>(tile.num_pixels()));
   for (const Quantity& quantity : kQuantities) {
-    absl::Status status = ReadStreams(quantity, static_cast<DeltaEncoding>(encoding), codings,
-                                      &reader, &planes);
+    absl::Status status =
+        ReadStreams(quantity, static_cast<DeltaEncoding>(encoding), codings, &reader, &planes);
     if (status.ok()) status = RestoreQuantity(quantity, codings, &planes, &tile);
     if (!status.ok()) return status;
   }

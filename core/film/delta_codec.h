@@ -1,4 +1,4 @@
-// The bytes of a TileStatistics on the wire and in film files; the layout is in docs/delta-format.md.
+// The bytes of a TileStatistics on the wire; the layout is in docs/delta-format.md.
 // Lossless: Decode(Encode(x)) == x bit for bit.
 #pragma once
 

@@ -73,9 +73,11 @@ absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
   const bool adds_a_node = inside_end == at && (at == nodes.end() || at->range() != sibling) &&
                            (at == nodes.begin() || std::prev(at)->range() != sibling);
   if (adds_a_node && nodes.size() >= kWaitingNodesMax && range.begin != CommittedEnd(tile_index)) {
-    return absl::ResourceExhaustedError(absl::StrCat(
-        "tile ", tile_index, " has ", nodes.size(), " nodes that wait for a sibling; send the ones "
-        "that follow sample ", CommittedEnd(tile_index), " first"));
+    return absl::ResourceExhaustedError(
+        absl::StrCat("tile ", tile_index, " has ", nodes.size(),
+                     " nodes that wait for a sibling; send the ones "
+                     "that follow sample ",
+                     CommittedEnd(tile_index), " first"));
   }
   samples_ += range.size() * node.num_pixels();
   non_finite_ += node.non_finite;
@@ -143,8 +145,7 @@ Sha256Digest Film::Digest() const {
   for (int y_begin = region.y_begin; y_begin < region.y_end; y_begin += grid_.tile_size()) {
     // Fold one row of tiles at a time, so that no copy of the whole film exists.
     std::vector<TileStatistics> tiles;
-    for (const int64_t tile :
-         grid_.TilesIn({region.x_begin, y_begin, region.x_end, y_begin + 1})) {
+    for (const int64_t tile : grid_.TilesIn({region.x_begin, y_begin, region.x_end, y_begin + 1})) {
       tiles.push_back(Fold(tile));
     }
     const int y_end = std::min(y_begin + grid_.tile_size(), region.y_end);
@@ -164,16 +165,16 @@ void Film::HashRow(const std::vector<TileStatistics>& tiles, int y, Sha256* hash
   for (int half = 0; half < kNumHalves; ++half) {
     for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
       for (const TileStatistics& tile : tiles) {
-        HashValues(tile.Floats(half, plane).data() +
-                       tile.window().IndexOf(tile.window().x_begin, y),
-                   static_cast<size_t>(tile.window().width()), hash);
+        HashValues(
+            tile.Floats(half, plane).data() + tile.window().IndexOf(tile.window().x_begin, y),
+            static_cast<size_t>(tile.window().width()), hash);
       }
     }
     for (int plane = 0; plane < kNumCountPlanes; ++plane) {
       for (const TileStatistics& tile : tiles) {
-        HashValues(tile.Counts(half, plane).data() +
-                       tile.window().IndexOf(tile.window().x_begin, y),
-                   static_cast<size_t>(tile.window().width()), hash);
+        HashValues(
+            tile.Counts(half, plane).data() + tile.window().IndexOf(tile.window().x_begin, y),
+            static_cast<size_t>(tile.window().width()), hash);
       }
     }
   }

@@ -1,8 +1,9 @@
 // The fold: how two accumulators of one pixel become one. Everything that joins statistics calls
-// these functions, so that a renderer's inner loop, the film and the image layers agree bit for bit.
-// Chan, Golub & LeVeque 1983, "Algorithms for computing the sample variance", written for the mean
-// and the mean squared deviation (msd = m2 / count), which stay in range where m2 would overflow.
-// IEEE + - x / only and integer rounding: the same bits on every machine. docs/decisions/0001.
+// these functions, so that a renderer's inner loop, the film and the image layers agree bit for
+// bit. Chan, Golub & LeVeque 1983, "Algorithms for computing the sample variance", written for the
+// mean and the mean squared deviation (msd = m2 / count), which stay in range where m2 would
+// overflow. IEEE + - x / only and integer rounding: the same bits on every machine.
+// docs/decisions/0001.
 #pragma once
 
 #include <bit>

@@ -29,9 +29,8 @@ void JoinHalves(const TileStatistics& tile, int mean_plane, int msd_plane, size_
 
 FramePlanes::FramePlanes(const PixelRect& bounds_in) : bounds(bounds_in) {
   const size_t area = static_cast<size_t>(bounds.area());
-  for (Planes3* planes :
-       {&color, &color_half[0], &color_half[1], &sample_variance_of_mean, &variance, &albedo,
-        &albedo_variance, &normal, &normal_variance}) {
+  for (Planes3* planes : {&color, &color_half[0], &color_half[1], &sample_variance_of_mean,
+                          &variance, &albedo, &albedo_variance, &normal, &normal_variance}) {
     Allocate(area, planes);
   }
   for (Plane* plane : {&depth, &depth_variance, &coverage}) plane->assign(area, 0.0f);
@@ -51,8 +50,8 @@ void FramePlanes::Resolve(const TileStatistics& tile) {
     size_t to = static_cast<size_t>(bounds.IndexOf(window.x_begin, y));
     for (int x = window.x_begin; x < window.x_end; ++x, ++from, ++to) {
       for (int c = 0; c < 3; ++c) {
-        JoinHalves(tile, kRadianceMean + c, kRadianceMsd + c, from, count_a, count_b,
-                   &color[c][to], &sample_variance_of_mean[c][to]);
+        JoinHalves(tile, kRadianceMean + c, kRadianceMsd + c, from, count_a, count_b, &color[c][to],
+                   &sample_variance_of_mean[c][to]);
         JoinHalves(tile, kAlbedoMean + c, kAlbedoMsd + c, from, count_a, count_b, &albedo[c][to],
                    &albedo_variance[c][to]);
         JoinHalves(tile, kNormalMean + c, kNormalMsd + c, from, count_a, count_b, &normal[c][to],
@@ -64,7 +63,8 @@ void FramePlanes::Resolve(const TileStatistics& tile) {
       const int32_t hits_b = static_cast<int32_t>(tile.Counts(1, kHits)[from]);
       JoinHalves(tile, kDepthMean, kDepthMsd, from, hits_a, hits_b, &depth[to],
                  &depth_variance[to]);
-      coverage[to] = static_cast<float>(hits_a + hits_b) / static_cast<float>(count > 0 ? count : 1);
+      coverage[to] =
+          static_cast<float>(hits_a + hits_b) / static_cast<float>(count > 0 ? count : 1);
       const IdVote vote_a{tile.Counts(0, kMaterialId)[from], tile.Counts(0, kIdVotes)[from]};
       const IdVote vote_b{tile.Counts(1, kMaterialId)[from], tile.Counts(1, kIdVotes)[from]};
       material_id[to] = count_b == 0 ? vote_a.id : FoldVotes(vote_a, vote_b).id;

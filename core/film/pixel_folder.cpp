@@ -10,7 +10,7 @@ namespace {
 
 constexpr int kNumChannels = 10;  // of one half: radiance, albedo, normal, depth
 constexpr int kDepthChannel = 9;
-constexpr int kNumLanes = 24;     // both halves, padded to whole SIMD registers
+constexpr int kNumLanes = 24;  // both halves, padded to whole SIMD registers
 constexpr int kNumLevels = 32;
 
 // Both halves of one pixel over one node.
@@ -39,8 +39,8 @@ void FoldNode(const PixelNode& left, const PixelNode& right, PixelNode* out) {
   alignas(32) float right_weight[kNumLanes];
   for (float& weight : right_weight) weight = 0.5f;
   for (int half = 0; half < kNumHalves; ++half) {
-    right_weight[half * kNumChannels + kDepthChannel] = RightWeight(
-        static_cast<int32_t>(left.hits[half]), static_cast<int32_t>(right.hits[half]));
+    right_weight[half * kNumChannels + kDepthChannel] =
+        RightWeight(static_cast<int32_t>(left.hits[half]), static_cast<int32_t>(right.hits[half]));
   }
   for (int i = 0; i < kNumLanes; ++i) {
     float mean, msd;

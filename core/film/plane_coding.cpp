@@ -57,9 +57,8 @@ void Code(const PlaneContext& context, const PlaneCoding& coding, std::span<cons
       break;
     case PlanePredictor::kLeft:
       out[0] = ZigZag(key_of(in[0]) - coding.base);
-      VisitLeft(num_pixels, row_px, [=](size_t i, size_t left) {
-        out[i] = ZigZag(key_of(in[i]) - key_of(in[left]));
-      });
+      VisitLeft(num_pixels, row_px,
+                [=](size_t i, size_t left) { out[i] = ZigZag(key_of(in[i]) - key_of(in[left])); });
       break;
     case PlanePredictor::kLeftRatio:
       out[0] = ZigZag(key_of(in[0]) - coding.base);
@@ -102,9 +101,12 @@ uint8_t WidthBytes(std::span<const uint32_t> codes) {
 bool PlaneContext::Allows(PlanePredictor predictor) const {
   switch (predictor) {
     case PlanePredictor::kNone:
-    case PlanePredictor::kLeft: return true;
-    case PlanePredictor::kOtherHalf: return !other_half.empty();
-    case PlanePredictor::kLeftRatio: return is_float && !guide.empty();
+    case PlanePredictor::kLeft:
+      return true;
+    case PlanePredictor::kOtherHalf:
+      return !other_half.empty();
+    case PlanePredictor::kLeftRatio:
+      return is_float && !guide.empty();
     case PlanePredictor::kOtherHalfRatio:
       return is_float && !guide.empty() && !other_half.empty() && !other_guide.empty();
   }
@@ -178,9 +180,8 @@ void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
       break;
     case PlanePredictor::kLeft:
       words[0] = word_of(coding.base + UnZigZag(codes[0]));
-      VisitLeft(num_pixels, row_px, [&](size_t i, size_t left) {
-        words[i] = restored(words[left], codes[i]);
-      });
+      VisitLeft(num_pixels, row_px,
+                [&](size_t i, size_t left) { words[i] = restored(words[left], codes[i]); });
       break;
     case PlanePredictor::kLeftRatio:
       words[0] = word_of(coding.base + UnZigZag(codes[0]));
@@ -195,8 +196,8 @@ void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
       break;
     case PlanePredictor::kOtherHalfRatio:
       for (size_t i = 0; i < num_pixels; ++i) {
-        words[i] = restored(
-            Scale(context.other_half[i], context.guide[i], context.other_guide[i]), codes[i]);
+        words[i] = restored(Scale(context.other_half[i], context.guide[i], context.other_guide[i]),
+                            codes[i]);
       }
       break;
   }

@@ -29,8 +29,9 @@ struct PlaneCoding {
 
 // What a plane's words are, and planes that are known before it: each empty or as long.
 struct PlaneContext {
-  bool is_float = false;  // float32 bits: the key puts the sign last, next to the least mantissa bit
-  int row_px = 1;         // pixels in a row
+  bool is_float =
+      false;       // float32 bits: the key puts the sign last, next to the least mantissa bit
+  int row_px = 1;  // pixels in a row
   std::span<const uint32_t> other_half;   // half A of this plane
   std::span<const uint32_t> guide;        // floats: the channel before this one
   std::span<const uint32_t> other_guide;  // its half A

@@ -64,8 +64,8 @@ class TileStatistics {
  private:
   PixelRect window_;
   SampleRange range_;
-  std::vector<float> floats_;      // [half][plane][pixel]
-  std::vector<uint32_t> counts_;   // [half][plane][pixel]
+  std::vector<float> floats_;     // [half][plane][pixel]
+  std::vector<uint32_t> counts_;  // [half][plane][pixel]
 };
 
 }  // namespace tessera

@@ -126,8 +126,8 @@ void CalibrateRow(const Inputs& inputs, int x_begin, int x_end, int y, FramePlan
   for (size_t i = 0; i < sums.weight.size(); ++i) {
     const bool known = inputs.known[centre + i] != 0;
     for (int c = 0; c < 3; ++c) {
-      planes->variance[c][to + i] = known ? sums.difference[c][i] / sums.weight[i]
-                                          : std::numeric_limits<float>::infinity();
+      planes->variance[c][to + i] =
+          known ? sums.difference[c][i] / sums.weight[i] : std::numeric_limits<float>::infinity();
     }
   }
 }

@@ -44,8 +44,7 @@ TEST(SampleRangeTest, MaximalNodesCoverExactlyAndCannotBeJoined) {
 }
 
 TEST(SampleRangeTest, MaximalNodesOfAPrefixAreTheBitsOfItsCount) {
-  EXPECT_EQ(MaximalNodes({0, 13}),
-            (std::vector<SampleRange>{{0, 8}, {8, 12}, {12, 13}}));
+  EXPECT_EQ(MaximalNodes({0, 13}), (std::vector<SampleRange>{{0, 8}, {8, 12}, {12, 13}}));
   EXPECT_EQ(MaximalNodes({0, int64_t{1} << 31}).size(), 1u);
 }
 

@@ -55,8 +55,8 @@ TEST(DeltaCodecTest, FoldedTilesRoundTrip) {
 }
 
 TEST(DeltaCodecTest, ExtremeValuesRoundTrip) {
-  constexpr float kValues[] = {0.0f,      -0.0f,     1e-45f,    -1e-45f, 0x1p60f, -0x1p60f, 1.0f,
-                               1 / 3.0f,  -1 / 3.0f, 0x1p-126f, 0x1p-127f, 1e-20f,  255.0f};
+  constexpr float kValues[] = {0.0f,     -0.0f,     1e-45f,    -1e-45f,   0x1p60f, -0x1p60f, 1.0f,
+                               1 / 3.0f, -1 / 3.0f, 0x1p-126f, 0x1p-127f, 1e-20f,  255.0f};
   for (uint64_t seed = 0; seed < 50; ++seed) {
     std::mt19937_64 random(seed);
     TileStatistics tile({0, 0, 9, 5}, {0, int64_t{1} << (1 + seed % 30)});
@@ -157,9 +157,15 @@ TEST(DeltaCodecTest, DamageIsAlwaysNoticed) {
       EncodedDelta damaged = delta;
       const size_t at = random() % damaged.payload.size();
       switch (trial % 3) {
-        case 0: damaged.payload[at] ^= static_cast<char>(1 << (random() % 8)); break;
-        case 1: damaged.payload.resize(at); break;
-        case 2: damaged.payload.insert(at, 1 + random() % 9, static_cast<char>(random())); break;
+        case 0:
+          damaged.payload[at] ^= static_cast<char>(1 << (random() % 8));
+          break;
+        case 1:
+          damaged.payload.resize(at);
+          break;
+        case 2:
+          damaged.payload.insert(at, 1 + random() % 9, static_cast<char>(random()));
+          break;
       }
       EXPECT_EQ(Decode(tile, damaged).status().code(), absl::StatusCode::kInvalidArgument);
     }

@@ -20,8 +20,8 @@ struct Unit {
 };
 
 void Deliver(const Unit& unit, Film* film, absl::StatusCode expected = absl::StatusCode::kOk) {
-  const absl::Status status = film->Accept(
-      unit.tile, FoldedTile(kSeed, film->grid().WindowOf(unit.tile), unit.range));
+  const absl::Status status =
+      film->Accept(unit.tile, FoldedTile(kSeed, film->grid().WindowOf(unit.tile), unit.range));
   EXPECT_EQ(status.code(), expected) << status;
 }
 

@@ -1,4 +1,5 @@
-// Contract C1's accuracy: folded statistics against two passes in long double over the same samples.
+// Contract C1's accuracy: folded statistics against two passes in long double over the same
+// samples.
 #include "core/film/fold.h"
 
 #include <gtest/gtest.h>
@@ -168,8 +169,8 @@ TEST(FoldTest, ABillionSamplesAndOne) {
     folded.Merge(one);
     const long double count = static_cast<long double>(folded.HalfCount(0));
     const long double difference = static_cast<long double>(value) - 2;
-    const long double msd = 0.25L * ((count - 1) / count) +
-                            difference * difference * ((count - 1) / count) / count;
+    const long double msd =
+        0.25L * ((count - 1) / count) + difference * difference * ((count - 1) / count) / count;
     EXPECT_NEAR(folded.Floats(0, kRadianceMean)[0], 2 + difference / count,
                 1e-6L * (2 + difference / count + std::sqrt(msd)));
     EXPECT_NEAR(folded.Floats(0, kRadianceMsd)[0], msd, 1e-3L * msd);

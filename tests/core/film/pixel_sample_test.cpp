@@ -38,8 +38,8 @@ TEST(PixelSampleTest, OrdinarySamplesAreKept) {
 }
 
 TEST(PixelSampleTest, AnyBadNumberMakesTheSampleBlack) {
-  for (const float bad : {std::nanf(""), kInfinity, -kInfinity, std::nextafter(kRadianceMax, kInfinity),
-                          -2 * kRadianceMax}) {
+  for (const float bad : {std::nanf(""), kInfinity, -kInfinity,
+                          std::nextafter(kRadianceMax, kInfinity), -2 * kRadianceMax}) {
     for (int field = 0; field < 10; ++field) {
       PixelSample sample = Ordinary();
       float* const fields[] = {sample.radiance, sample.radiance + 1, sample.radiance + 2,

@@ -22,9 +22,7 @@ inline uint64_t HashOf(uint64_t x) {
   return x ^ (x >> 31);
 }
 // Uniform in [0, 1).
-inline float UniformOf(uint64_t x) {
-  return static_cast<float>(HashOf(x) >> 40) * 0x1p-24f;
-}
+inline float UniformOf(uint64_t x) { return static_cast<float>(HashOf(x) >> 40) * 0x1p-24f; }
 
 // A sample of pixel (x, y): every quantity random, a fifth of the samples without a hit.
 inline PixelSample SampleOf(uint64_t seed, int x, int y, int64_t index) {

@@ -122,8 +122,7 @@ Tally Measure(const Scene& scene, int64_t count) {
           const double error = planes.color[c][i] - scale * static_cast<double>(unit.mean);
           const double variance = planes.variance[c][i];
           // The variance of the reference is part of the interval.
-          const double reference_variance =
-              scale * scale * static_cast<double>(unit.msd) / 40000;
+          const double reference_variance = scale * scale * static_cast<double>(unit.msd) / 40000;
           tally.covered += std::fabs(error) <= 1.96 * std::sqrt(variance + reference_variance);
           tally.intervals += 1;
           tally.width += std::sqrt(variance);
