@@ -25,8 +25,8 @@ class BilateralFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "bilateral"; }
   int halo_px() const override;
-  void Filter(const FramePlanes& planes, const FrameParameters& parameters,
-              const PixelRect& window, FilteredPlanes* out) const override;
+  void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
+              FilteredPlanes* out) const override;
 };
 
 }  // namespace tessera

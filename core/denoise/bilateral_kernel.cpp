@@ -27,21 +27,84 @@ constexpr int kStripRows = 16;
 // Averages the distances of a patch: its pixels times the channels.
 constexpr float kPatchScale =
     1.0f / static_cast<float>(3 * (2 * kPatchRadiusPx + 1) * (2 * kPatchRadiusPx + 1));
-static_assert(kPatchRadiusPx == 1, "Accumulate adds three rows of three");
+static_assert(kPatchRadiusPx == 1, "SetWeights adds three rows of three");
 
 float CutVariance(float variance) { return variance < kVarianceMax ? variance : kVarianceMax; }
 
+// By value: std::min and std::max return references, which keeps GCC from vectorising.
+inline float Min(float a, float b) { return a < b ? a : b; }
+inline float Max(float a, float b) { return a > b ? a : b; }
+
 // exp(-x) for x >= 0, by a polynomial that reaches 0 at x = 8.
 inline float Falloff(float x) {
-  const float base = std::max(0.0f, 1.0f - x * 0.125f);
+  const float base = Max(1.0f - x * 0.125f, 0.0f);
   const float square = base * base;
   const float fourth = square * square;
   return fourth * fourth;
 }
 
+// The inner loops, over `num_pixels` of a row. They are functions because GCC heeds __restrict in
+// parameters alone. Pointers are to the pixels p; their neighbours q lie `shift` further.
+
+// Adds each half's squared difference between p and q, less what noise alone explains, in units of
+// that noise.
+void AddColorDistance(int num_pixels, int64_t shift, const float* known, const float* variance,
+                      const float* color_a, const float* color_b, float* __restrict distance_a,
+                      float* __restrict distance_b) {
+  for (int x = 0; x < num_pixels; ++x) {
+    const float v_p = variance[x], v_q = variance[x + shift];
+    const float expected = v_p + Min(v_p, v_q);
+    const float scale = known[x] * known[x + shift] / (v_p + v_q);
+    const float a = color_a[x] - color_a[x + shift];
+    const float b = color_b[x] - color_b[x + shift];
+    distance_a[x] += (a * a - expected) * scale;
+    distance_b[x] += (b * b - expected) * scale;
+  }
+}
+
+// Adds the squared difference of a vector feature in units of its noise and floor.
+void AddFeatureDistance(int num_pixels, int64_t shift, const float* variance, const float* x0,
+                        const float* x1, const float* x2, float* __restrict distance) {
+  for (int x = 0; x < num_pixels; ++x) {
+    const float d0 = x0[x] - x0[x + shift];
+    const float d1 = x1[x] - x1[x + shift];
+    const float d2 = x2[x] - x2[x + shift];
+    distance[x] += (d0 * d0 + d1 * d1 + d2 * d2) / (variance[x] + variance[x + shift]);
+  }
+}
+
+// Sets the squared difference of depth in units of its noise and floor.
+void SetDepthDistance(int num_pixels, int64_t shift, const float* variance, const float* depth,
+                      float* __restrict distance) {
+  for (int x = 0; x < num_pixels; ++x) {
+    const float d = depth[x] - depth[x + shift];
+    distance[x] = d * d / (variance[x] + variance[x + shift]);
+  }
+}
+
+// Sets the weights of the neighbours, which lie at `known`, and adds them and their squares to the
+// sums. The patch of pixel x is columns x to x + 2 of three rows of colour distances.
+void SetWeights(int num_pixels, float spatial_weight, const float* above, const float* middle,
+                const float* below, const float* feature_distance, const float* known,
+                float* __restrict weight, float* __restrict weight_sum,
+                float* __restrict square_sum) {
+  for (int x = 0; x < num_pixels; ++x) {
+    const float patch = (above[x] + above[x + 1] + above[x + 2]) +
+                        (middle[x] + middle[x + 1] + middle[x + 2]) +
+                        (below[x] + below[x + 1] + below[x + 2]);
+    const float distance = Max(patch * kPatchScale, 0.0f) + feature_distance[x];
+    weight[x] = spatial_weight * known[x] * Falloff(distance);
+    weight_sum[x] += weight[x];
+    square_sum[x] += weight[x] * weight[x];
+  }
+}
+
+void AddWeighted(int num_pixels, const float* weight, const float* color, float* __restrict sum) {
+  for (int x = 0; x < num_pixels; ++x) sum[x] += weight[x] * color[x];
+}
+
 float MeanOfChannels(const Planes3& variance, int64_t i) {
-  return (CutVariance(variance[0][i]) + CutVariance(variance[1][i]) +
-          CutVariance(variance[2][i])) /
+  return (CutVariance(variance[0][i]) + CutVariance(variance[1][i]) + CutVariance(variance[2][i])) /
          3;
 }
 
@@ -59,24 +122,23 @@ KernelInput::KernelInput(const PixelRect& rect, const PixelRect& frame, const Fr
   size_t to = 0;
   for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
     for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++to) {
-      const int64_t from =
-          planes.bounds.IndexOf(std::clamp(x, frame.x_begin, frame.x_end - 1),
-                                std::clamp(y, frame.y_begin, frame.y_end - 1));
+      const int64_t from = planes.bounds.IndexOf(std::clamp(x, frame.x_begin, frame.x_end - 1),
+                                                 std::clamp(y, frame.y_begin, frame.y_end - 1));
       known[to] = frame.Contains(x, y) && planes.samples[from] >= 2 ? 1.0f : 0.0f;
       for (int c = 0; c < 3; ++c) {
         color[0][c][to] = std::min(planes.color_half[0][c][from], kValueMax);
         color[1][c][to] = std::min(planes.color_half[1][c][from], kValueMax);
         const float mean = std::min(planes.color[c][from], kValueMax);
-        variance[c][to] = 2 * CutVariance(planes.variance[c][from]) +
-                          kRoundingVariance * mean * mean + kTiny;
+        variance[c][to] =
+            2 * CutVariance(planes.variance[c][from]) + kRoundingVariance * mean * mean + kTiny;
         albedo[c][to] = planes.albedo[c][from];
         normal[c][to] = planes.normal[c][from];
       }
       albedo_variance[to] = MeanOfChannels(planes.albedo_variance, from) + kAlbedoFloor;
       normal_variance[to] = MeanOfChannels(planes.normal_variance, from) + kNormalFloor;
       depth[to] = planes.depth[from];
-      depth_variance[to] = CutVariance(planes.depth_variance[from]) +
-                           kDepthFloor * depth[to] * depth[to] + kTiny;
+      depth_variance[to] =
+          CutVariance(planes.depth_variance[from]) + kDepthFloor * depth[to] * depth[to] + kTiny;
     }
   }
 }
@@ -137,87 +199,38 @@ class Strip {
   }
   int64_t OutputIndex(int row) const { return int64_t{y_begin_ + row} * width_; }
 
-  // Each half's squared colour difference between p and p + shift, less what noise alone explains,
-  // in units of that noise, summed over the channels; for a row and the patches at its ends.
+  // The colour distances of a row, a patch radius beyond its ends.
   void MeasureColors(int row, int64_t shift) {
     const int64_t p = InputIndex(-kPatchRadiusPx, row);
     const int64_t to = int64_t{row + kPatchRadiusPx} * patch_stride_;
-    float* __restrict distance_a = pixel_distance_[0].data() + to;
-    float* __restrict distance_b = pixel_distance_[1].data() + to;
-    const float* known_p = in_.known.data() + p;
-    const float* known_q = known_p + shift;
+    float* distances[kNumHalves] = {&pixel_distance_[0][to], &pixel_distance_[1][to]};
+    for (float* distance : distances) std::fill_n(distance, patch_stride_, 0.0f);
     for (int c = 0; c < 3; ++c) {
-      const float* a_p = in_.color[0][c].data() + p;
-      const float* a_q = a_p + shift;
-      const float* b_p = in_.color[1][c].data() + p;
-      const float* b_q = b_p + shift;
-      const float* v_p = in_.variance[c].data() + p;
-      const float* v_q = v_p + shift;
-      const float keep = c == 0 ? 0.0f : 1.0f;
-      for (int x = 0; x < patch_stride_; ++x) {
-        const float expected = v_p[x] + std::min(v_p[x], v_q[x]);
-        const float scale = known_p[x] * known_q[x] / (v_p[x] + v_q[x]);
-        const float a = a_p[x] - a_q[x];
-        const float b = b_p[x] - b_q[x];
-        distance_a[x] = keep * distance_a[x] + (a * a - expected) * scale;
-        distance_b[x] = keep * distance_b[x] + (b * b - expected) * scale;
-      }
+      AddColorDistance(patch_stride_, shift, &in_.known[p], &in_.variance[c][p],
+                       &in_.color[0][c][p], &in_.color[1][c][p], distances[0], distances[1]);
     }
   }
 
-  // The features' squared differences in units of their noise and floors.
   void MeasureFeatures(int row, int64_t shift) {
     const int64_t p = InputIndex(0, row);
-    float* __restrict distance = feature_distance_.data();
-    const float* z = in_.depth.data() + p;
-    const float* v = in_.depth_variance.data() + p;
-    for (int x = 0; x < width_; ++x) {
-      const float d = z[x] - z[x + shift];
-      distance[x] = d * d / (v[x] + v[x + shift]);
-    }
-    AddDistance(in_.albedo, in_.albedo_variance, p, shift);
-    AddDistance(in_.normal, in_.normal_variance, p, shift);
-  }
-
-  void AddDistance(const Planes3& feature, const Plane& variance, int64_t p, int64_t shift) {
-    float* __restrict distance = feature_distance_.data();
-    const float* f0 = feature[0].data() + p;
-    const float* f1 = feature[1].data() + p;
-    const float* f2 = feature[2].data() + p;
-    const float* v = variance.data() + p;
-    for (int x = 0; x < width_; ++x) {
-      const float d0 = f0[x] - f0[x + shift];
-      const float d1 = f1[x] - f1[x + shift];
-      const float d2 = f2[x] - f2[x + shift];
-      distance[x] += (d0 * d0 + d1 * d1 + d2 * d2) / (v[x] + v[x + shift]);
-    }
+    float* distance = feature_distance_.data();
+    SetDepthDistance(width_, shift, &in_.depth_variance[p], &in_.depth[p], distance);
+    AddFeatureDistance(width_, shift, &in_.albedo_variance[p], &in_.albedo[0][p], &in_.albedo[1][p],
+                       &in_.albedo[2][p], distance);
+    AddFeatureDistance(width_, shift, &in_.normal_variance[p], &in_.normal[0][p], &in_.normal[1][p],
+                       &in_.normal[2][p], distance);
   }
 
   // Adds the neighbours of a row to the sums of `half`, weighted by the other half's distance.
   void Accumulate(int half, int row, const Offset& offset) {
-    const float* above = pixel_distance_[1 - half].data() + int64_t{row} * patch_stride_;
-    const float* middle = above + patch_stride_;
-    const float* below = middle + patch_stride_;
-    const float* feature = feature_distance_.data();
+    const float* above = &pixel_distance_[1 - half][int64_t{row} * patch_stride_];
     const int64_t q = InputIndex(0, row) + offset.shift;
-    const float* known = in_.known.data() + q;
     const int64_t to = OutputIndex(row);
-    float* __restrict weight = weight_.data();
-    float* __restrict weight_sum = weight_sum_[half].data() + int64_t{row} * width_;
-    float* __restrict square_sum = out_.variance_factor[half].data() + to;
-    for (int x = 0; x < width_; ++x) {
-      const float patch = (above[x] + above[x + 1] + above[x + 2]) +
-                          (middle[x] + middle[x + 1] + middle[x + 2]) +
-                          (below[x] + below[x + 1] + below[x + 2]);
-      weight[x] = offset.weight * known[x] *
-                  Falloff(std::max(0.0f, patch * kPatchScale) + feature[x]);
-      weight_sum[x] += weight[x];
-      square_sum[x] += weight[x] * weight[x];
-    }
+    SetWeights(width_, offset.weight, above, above + patch_stride_, above + 2 * patch_stride_,
+               feature_distance_.data(), &in_.known[q], weight_.data(),
+               &weight_sum_[half][int64_t{row} * width_], &out_.variance_factor[half][to]);
     for (int c = 0; c < 3; ++c) {
-      const float* color = in_.color[half][c].data() + q;
-      float* __restrict sum = out_.color[half][c].data() + to;
-      for (int x = 0; x < width_; ++x) sum[x] += weight[x] * color[x];
+      AddWeighted(width_, weight_.data(), &in_.color[half][c][q], &out_.color[half][c][to]);
     }
   }
 
@@ -257,6 +270,7 @@ void RunBilateralKernel(const KernelInput& input, int radius_px, KernelOutput* o
   std::vector<Offset> offsets;
   for (int dy = -radius_px; dy <= radius_px; ++dy) {
     for (int dx = -radius_px; dx <= radius_px; ++dx) {
+      if (dx * dx + dy * dy > radius_px * radius_px) continue;
       const int64_t shift = int64_t{dy} * input.bounds.width() + dx;
       const float weight = Falloff(static_cast<float>(dx * dx + dy * dy) * falloff);
       offsets.push_back({shift, weight});

@@ -38,8 +38,9 @@ struct KernelOutput {
 };
 
 // Filters both halves over out->bounds; input.bounds must reach radius_px + kPatchRadiusPx further.
-// The weight of a neighbour is a Gaussian of its distance (sigma radius_px / 2) times a falloff of
-// its range distance: the other half's colours, compared patch by patch, and the features.
+// The weight of a neighbour within the radius is a Gaussian of its distance (sigma radius_px / 2)
+// times a falloff of its range distance: the other half's colours, compared patch by patch, and the
+// features.
 // Pixels that are not known keep their colour.
 void RunBilateralKernel(const KernelInput& input, int radius_px, KernelOutput* out);
 

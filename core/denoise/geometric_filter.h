@@ -27,8 +27,8 @@ class GeometricFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "geometric"; }
   int halo_px() const override { return kGeometricRadiusMaxPx; }
-  void Filter(const FramePlanes& planes, const FrameParameters& parameters,
-              const PixelRect& window, FilteredPlanes* out) const override;
+  void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
+              FilteredPlanes* out) const override;
 };
 
 }  // namespace tessera

@@ -26,8 +26,8 @@ absl::StatusOr<Channels> ColorChannels(const NamedImage& named) {
     const char* channel_name[] = {"R", "G", "B"};
     const ImageChannel* channel = named.image->Find(channel_name[c]);
     if (channel == nullptr || channel->is_uint) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          name, ": no colour channel ", channel_name[c], "; compare pictures with R, G and B"));
+      return absl::InvalidArgumentError(absl::StrCat(name, ": no colour channel ", channel_name[c],
+                                                     "; compare pictures with R, G and B"));
     }
     if (!std::ranges::all_of(channel->floats, [](float value) { return std::isfinite(value); })) {
       return absl::InvalidArgumentError(

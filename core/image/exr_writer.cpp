@@ -82,7 +82,8 @@ absl::Status WriteExr(const std::string& path, const ExrHeader& header,
                       const ExrRowSource& fill_rows) {
   if (header.data_window.empty() || header.channels.empty()) {
     return absl::InvalidArgumentError(
-        absl::StrCat("cannot write ", path, ": the picture is empty; ask for at least one pixel "
+        absl::StrCat("cannot write ", path,
+                     ": the picture is empty; ask for at least one pixel "
                      "and one layer"));
   }
   absl::StatusOr<OutputFile> file = OutputFile::Create(path);

@@ -263,8 +263,8 @@ class FilmReader {
       for (const FilmChannel& channel : ChannelsOfGroup()) {
         const auto found = channels.find(absl::StrCat(GroupPrefix(group.range), channel.name));
         if (found == channels.end()) {
-          return DamagedImage(path_, absl::StrCat("no channel ", GroupPrefix(group.range),
-                                                  channel.name));
+          return DamagedImage(path_,
+                              absl::StrCat("no channel ", GroupPrefix(group.range), channel.name));
         }
         group.places.push_back(found->second);
       }
@@ -335,8 +335,7 @@ class FilmReader {
   template <typename Visit>
   absl::Status ForEachBand(const Visit& visit) {
     const size_t num_channels = static_cast<size_t>(input_.spec().nchannels);
-    std::vector<uint32_t> words(num_channels * static_cast<size_t>(region_.width()) *
-                                kRowsAtOnce);
+    std::vector<uint32_t> words(num_channels * static_cast<size_t>(region_.width()) * kRowsAtOnce);
     for (int y = region_.y_begin; y < region_.y_end; y += kRowsAtOnce) {
       const int y_end = std::min(y + kRowsAtOnce, region_.y_end);
       if (!input_.read_scanlines(0, 0, y, y_end, 0, 0, input_.spec().nchannels,
@@ -352,9 +351,9 @@ class FilmReader {
   const std::string path_;
   OIIO::ImageInput& input_;
   PixelRect region_;
-  std::vector<GroupLayout> groups_;           // ascending by range
-  std::map<uint32_t, NodeBounds> found_;      // by ordinal
-  std::vector<NodeBounds> bounds_;            // of film->nodes
+  std::vector<GroupLayout> groups_;       // ascending by range
+  std::map<uint32_t, NodeBounds> found_;  // by ordinal
+  std::vector<NodeBounds> bounds_;        // of film->nodes
 };
 
 }  // namespace
@@ -380,8 +379,7 @@ absl::Status WriteFilmFile(const std::string& path, const FilmFile& film, const 
     for (const TileStatistics* node : nodes) {
       ++ordinal;
       if (node->non_finite != 0) {
-        absl::StrAppend(&non_finite, non_finite.empty() ? "" : ",", ordinal, ":",
-                        node->non_finite);
+        absl::StrAppend(&non_finite, non_finite.empty() ? "" : ",", ordinal, ":", node->non_finite);
       }
     }
   }

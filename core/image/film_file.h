@@ -40,8 +40,7 @@ absl::Status WriteFilmFile(const std::string& path, const FilmFile& film, const 
 // Reads the film of `path`; its picture is read by ReadImage.
 // Errors: FAILED_PRECONDITION  an image without a film: says how to write one
 //         INVALID_ARGUMENT     damaged, inconsistent or beyond the limits; and as ReadImage
-absl::StatusOr<FilmFile> ReadFilmFile(
-    const std::string& path,
-    const ImageReadLimits& limits = {.values_max = int64_t{1} << 32});
+absl::StatusOr<FilmFile> ReadFilmFile(const std::string& path, const ImageReadLimits& limits = {
+                                                                   .values_max = int64_t{1} << 32});
 
 }  // namespace tessera

@@ -62,8 +62,8 @@ bool HasAllChunks(const std::string& path) {
 }  // namespace
 
 absl::Status DamagedImage(const std::string& path, const std::string& detail) {
-  return absl::InvalidArgumentError(absl::StrCat(
-      path, ": the image is truncated or damaged (", detail, "); write or copy it again"));
+  return absl::InvalidArgumentError(absl::StrCat(path, ": the image is truncated or damaged (",
+                                                 detail, "); write or copy it again"));
 }
 
 absl::StatusOr<OpenedImage> OpenImage(const std::string& path, const ImageReadLimits& limits) {
@@ -98,10 +98,10 @@ absl::StatusOr<OpenedImage> OpenImage(const std::string& path, const ImageReadLi
     return DamagedImage(path, "no pixels");
   }
   if (num_pixels > limits.pixels_max || num_pixels * spec.nchannels > limits.values_max) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        path, ": ", spec.width, "x", spec.height, " pixels with ", spec.nchannels,
-        " channels are beyond the limit of ", limits.pixels_max, " pixels and ",
-        limits.values_max, " values; crop it or drop layers"));
+    return absl::InvalidArgumentError(
+        absl::StrCat(path, ": ", spec.width, "x", spec.height, " pixels with ", spec.nchannels,
+                     " channels are beyond the limit of ", limits.pixels_max, " pixels and ",
+                     limits.values_max, " values; crop it or drop layers"));
   }
   return opened;
 }

@@ -21,8 +21,7 @@ bool ReadChannel(OIIO::ImageInput* input, int index, bool is_uint, ImageChannel*
   channel->is_uint = is_uint;
   if (is_uint) {
     channel->uints.resize(num_pixels);
-    return input->read_image(0, 0, index, index + 1, OIIO::TypeDesc::UINT,
-                             channel->uints.data());
+    return input->read_image(0, 0, index, index + 1, OIIO::TypeDesc::UINT, channel->uints.data());
   }
   channel->floats.resize(num_pixels);
   return input->read_image(0, 0, index, index + 1, OIIO::TypeDesc::FLOAT, channel->floats.data());

@@ -12,8 +12,7 @@ namespace {
 
 // The pixels of `window` of a plane over `bounds`.
 template <typename T>
-std::vector<T> Crop(const std::vector<T>& plane, const PixelRect& bounds,
-                    const PixelRect& window) {
+std::vector<T> Crop(const std::vector<T>& plane, const PixelRect& bounds, const PixelRect& window) {
   TESSERA_CHECK(bounds.Contains(window));
   std::vector<T> cropped;
   cropped.reserve(window.area());
@@ -59,8 +58,8 @@ absl::StatusOr<std::vector<std::string>> ParseLayerList(std::string_view list) {
       absl::StrSplit(absl::string_view(list.data(), list.size()), ',');
   for (const std::string& name : wanted) {
     if (name != "all" && FindPictureLayer(name) == nullptr) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "no layer is called \"", name, "\"; use all or some of ", NamesOfLayers()));
+      return absl::InvalidArgumentError(
+          absl::StrCat("no layer is called \"", name, "\"; use all or some of ", NamesOfLayers()));
     }
   }
   const bool all = std::ranges::find(wanted, "all") != wanted.end();

@@ -70,9 +70,7 @@ absl::StatusOr<OutputFile> OutputFile::Create(const std::string& path) {
 }
 
 OutputFile::OutputFile(std::string path, std::string temporary_path, int descriptor)
-    : path_(std::move(path)),
-      temporary_path_(std::move(temporary_path)),
-      descriptor_(descriptor) {}
+    : path_(std::move(path)), temporary_path_(std::move(temporary_path)), descriptor_(descriptor) {}
 
 OutputFile::OutputFile(OutputFile&& other) noexcept
     : path_(std::move(other.path_)),

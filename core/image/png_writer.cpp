@@ -33,8 +33,8 @@ OIIO::ImageSpec MakeSpec(const Image& image, int num_channels) {
 }  // namespace
 
 absl::StatusOr<std::string> EncodePng(const Image& image, const DisplayTransform& display) {
-  std::array<const ImageChannel*, 4> channels = {image.Find("R"), image.Find("G"),
-                                                 image.Find("B"), image.Find("A")};
+  std::array<const ImageChannel*, 4> channels = {image.Find("R"), image.Find("G"), image.Find("B"),
+                                                 image.Find("A")};
   for (int c = 0; c < 3; ++c) {
     if (channels[c] == nullptr || channels[c]->is_uint) {
       return absl::InvalidArgumentError(

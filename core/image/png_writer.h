@@ -17,7 +17,6 @@ namespace tessera {
 absl::StatusOr<std::string> EncodePng(const Image& image, const DisplayTransform& display);
 
 // Writes them to `path`, whole or not at all. Errors: those, and as OutputFile.
-absl::Status WritePng(const std::string& path, const Image& image,
-                      const DisplayTransform& display);
+absl::Status WritePng(const std::string& path, const Image& image, const DisplayTransform& display);
 
 }  // namespace tessera

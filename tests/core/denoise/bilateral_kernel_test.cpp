@@ -20,12 +20,13 @@ KernelOutput RunKernel(const FramePlanes& planes) {
   return out;
 }
 
-// What is left of the variance if all pixels of `kernel`, relative to the centre, are alike: their
-// weights are exp(-distance^2 / 2) for radius 2, within the error of the polynomial.
+// What is left of the variance if all pixels of the disc inside `kernel`, which is relative to the
+// centre, are alike: their weights are exp(-distance^2 / 2) for radius 2, but for the polynomial.
 float FactorOf(const PixelRect& kernel) {
   float sum = 0, square_sum = 0;
   for (int y = kernel.y_begin; y < kernel.y_end; ++y) {
     for (int x = kernel.x_begin; x < kernel.x_end; ++x) {
+      if (x * x + y * y > kRadiusPx * kRadiusPx) continue;
       const float weight = std::pow(1.0f - static_cast<float>(x * x + y * y) / 16.0f, 8.0f);
       sum += weight;
       square_sum += weight * weight;

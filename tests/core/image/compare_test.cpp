@@ -65,8 +65,8 @@ TEST(CompareImages, TwoReferencesCancelTheirNoise) {
 
 TEST(CompareImages, ExposureActsOnWhatTheScreenShows) {
   const Image test = Grey(4, 4, 0.125f), reference = Grey(4, 4, 0.0625f);
-  const absl::StatusOr<ImageErrors> brighter = CompareImages(
-      {"test", &test}, {"reference", &reference}, {}, {.exposure_ev = 3});
+  const absl::StatusOr<ImageErrors> brighter =
+      CompareImages({"test", &test}, {"reference", &reference}, {}, {.exposure_ev = 3});
   ASSERT_TRUE(brighter.ok());
   EXPECT_NEAR(brighter->psnr_db, -20 * std::log10(1 - 0.73536), 1e-3);
   EXPECT_NEAR(brighter->rel_mse, Compare(test, reference).rel_mse, 1e-12);

@@ -1,7 +1,8 @@
 // The sRGB transfer and its inverse.
+#include "core/image/display_transform.h"
+
 #include <cmath>
 
-#include "core/image/display_transform.h"
 #include "gtest/gtest.h"
 
 namespace tessera {

@@ -1,9 +1,10 @@
 // EXR files give back every bit that was written.
+#include "core/image/exr_writer.h"
+
 #include <cstring>
 #include <limits>
 #include <utility>
 
-#include "core/image/exr_writer.h"
 #include "core/image/image_reader.h"
 #include "gtest/gtest.h"
 #include "tests/core/image/image_fixture.h"
@@ -22,7 +23,9 @@ void ExpectSameChannels(const Image& expected, const Image& read) {
     EXPECT_EQ(other->uints, channel.uints) << channel.name;
     ASSERT_EQ(other->floats.size(), channel.floats.size());
     EXPECT_EQ(std::memcmp(other->floats.data(), channel.floats.data(),
-                          channel.floats.size() * sizeof(float)), 0) << channel.name;
+                          channel.floats.size() * sizeof(float)),
+              0)
+        << channel.name;
   }
 }
 

@@ -67,10 +67,8 @@ Image PictureOf(const FilmFile& film) {
 }
 
 TEST_F(FilmFileTest, EveryBitOfEveryNodeComesBack) {
-  const std::pair<PixelRect, int> shapes[] = {{{0, 0, 1, 1}, 16},
-                                              {{5, 7, 42, 30}, 8},
-                                              {{0, 3, 3, 140}, 16},
-                                              {{-4, -2, 9, 9}, 1}};
+  const std::pair<PixelRect, int> shapes[] = {
+      {{0, 0, 1, 1}, 16}, {{5, 7, 42, 30}, 8}, {{0, 3, 3, 140}, 16}, {{-4, -2, 9, 9}, 1}};
   for (const auto& [region, tile_size] : shapes) {
     const FilmFile film = InterruptedFilm(region, tile_size, 11);
     const Image picture = PictureOf(film);

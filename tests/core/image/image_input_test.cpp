@@ -15,8 +15,8 @@ TEST_F(ImageInputTest, TheBytesDecideTheFormat) {
   const Image image = MixedImage(5, 4);
   ASSERT_TRUE(WriteExr(Path("really-exr.png"), image).ok());
   ASSERT_TRUE(WritePng(Path("really-png.exr"), image, {}).ok());
-  WriteBytes("tiny.txt", std::string("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n") +
-                             "\x80\x40\x20\x81");
+  WriteBytes("tiny.txt",
+             std::string("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 1 +X 1\n") + "\x80\x40\x20\x81");
   EXPECT_EQ(OpenImage(Path("really-exr.png"), {})->format, "openexr");
   EXPECT_EQ(OpenImage(Path("really-png.exr"), {})->format, "png");
   EXPECT_EQ(OpenImage(Path("tiny.txt"), {})->format, "hdr");

@@ -1,8 +1,9 @@
 // Unreadable, truncated, damaged and oversized images: clear errors, no crash.
+#include "core/image/image_reader.h"
+
 #include <random>
 
 #include "core/image/exr_writer.h"
-#include "core/image/image_reader.h"
 #include "core/image/png_writer.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"

@@ -1,12 +1,14 @@
 // Files appear whole or not at all; unwritable places give clear errors.
+#include "core/image/output_file.h"
+
 #include <sys/resource.h>
 #include <unistd.h>
+
 #include <csignal>
 #include <filesystem>
 
 #include "core/image/exr_writer.h"
 #include "core/image/image_reader.h"
-#include "core/image/output_file.h"
 #include "core/image/png_writer.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"

@@ -1,8 +1,9 @@
 // PNG files show the picture through exposure and the sRGB transfer.
+#include "core/image/png_writer.h"
+
 #include <cmath>
 
 #include "core/image/image_reader.h"
-#include "core/image/png_writer.h"
 #include "gtest/gtest.h"
 #include "tests/core/image/image_fixture.h"
 
