@@ -2,7 +2,10 @@
 
 #include <OpenImageIO/filesystem.h>
 #include <OpenImageIO/imageio.h>
+#include <zlib.h>
 
+#include <algorithm>
+#include <cstring>
 #include <memory>
 
 #include "absl/strings/str_cat.h"
@@ -32,6 +35,35 @@ bool IsRadianceFormat(std::string_view format) { return format == "hdr" || forma
 absl::Status Damaged(OIIO::ImageInput* input) {
   return absl::InvalidArgumentError(
       absl::StrCat("the image is damaged (", input->geterror(), "); save it again"));
+}
+
+uint32_t ReadBigEndian(std::string_view file, size_t offset) {
+  uint32_t value = 0;
+  for (size_t i = 0; i < 4; ++i) value = value << 8 | static_cast<uint8_t>(file[offset + i]);
+  return value;
+}
+
+// Walks the chunks of a PNG and checks their sums, because libpng prints on stderr what it finds.
+absl::Status CheckPng(std::string_view file) {
+  constexpr size_t kSignatureBytes = 8;
+  constexpr size_t kChunkOverheadBytes = 12;  // length, type, sum
+  size_t offset = kSignatureBytes;
+  bool has_end = false;
+  while (!has_end) {
+    if (file.size() - offset < kChunkOverheadBytes ||
+        ReadBigEndian(file, offset) > file.size() - offset - kChunkOverheadBytes) {
+      return absl::InvalidArgumentError("the image is truncated; save it again");
+    }
+    const size_t length = ReadBigEndian(file, offset);
+    const Bytef* typed = reinterpret_cast<const Bytef*>(file.data() + offset + 4);
+    const uint32_t sum = static_cast<uint32_t>(crc32(0, typed, static_cast<uInt>(length + 4)));
+    if (sum != ReadBigEndian(file, offset + 8 + length)) {
+      return absl::InvalidArgumentError("the image is damaged (checksum); save it again");
+    }
+    has_end = file.substr(offset + 4, 4) == "IEND";
+    offset += length + kChunkOverheadBytes;
+  }
+  return absl::OkStatus();
 }
 
 absl::StatusOr<OpenImage> Open(std::string_view file, const char* format) {
@@ -64,6 +96,7 @@ absl::StatusOr<ImageSize> ReadImageSize(std::string_view file) {
     return absl::InvalidArgumentError(file.empty() ? "the image is empty; save it again"
                                                    : "not a PNG, JPEG or WebP image; convert it");
   }
+  if (std::strcmp(format, "png") == 0) TESSERA_RETURN_IF_ERROR(CheckPng(file));
   TESSERA_ASSIGN_OR_RETURN(const OpenImage image, Open(file, format));
   return ImageSize{image.input->spec().width, image.input->spec().height};
 }
