@@ -5,6 +5,7 @@
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/limits.h"
 #include "server/log.h"
+#include "server/rpc/continued_film.h"
 #include "server/rpc/rpc_status.h"
 
 namespace tessera {
@@ -64,12 +65,15 @@ absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* re
 }
 
 absl::StatusOr<std::shared_ptr<Film>> JobService::ReadFilm(const std::string& sha256,
-                                                           const v1::JobSettings&) {
+                                                           const v1::JobSettings& settings) {
   const absl::StatusOr<Sha256Digest> digest = Sha256FromBytes(sha256);
   if (!digest.ok()) {
     return absl::InvalidArgumentError("continue_film_sha256 is not 32 bytes long");
   }
-  return absl::UnimplementedError("continue_film_sha256: not yet");
+  if (absl::Status status = assets_.CheckPresent({*digest}); !status.ok()) return status;
+  const absl::StatusOr<StoredFile> file = assets_.OpenFile(*digest);
+  if (!file.ok()) return file.status();
+  return ReadContinuedFilm(file->path(), settings);
 }
 
 absl::Status JobService::Get(const std::string& name, v1::Job* response) const {

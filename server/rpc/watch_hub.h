@@ -43,8 +43,8 @@ class WatchHub {
   void Remove(WatchReactor* reactor, JobId job);
 
   const WatchCallbacks callbacks_;
-  // Pump and Watch hold mu_, then a reactor's, then the coordinator's; Notify, which is called under
-  // the coordinator's lock, takes changed_mu_ alone.
+  // Pump and Watch hold mu_, then a reactor's, then the coordinator's; Notify, which is called
+  // under the coordinator's lock, takes changed_mu_ alone.
   std::mutex mu_;  // guards reactors_, closed_
   std::map<JobId, std::set<WatchReactor*>> reactors_;
   bool closed_ = false;

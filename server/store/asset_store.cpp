@@ -1,10 +1,14 @@
 #include "server/store/asset_store.h"
 
+#include <stdlib.h>
+#include <unistd.h>
+
 #include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
@@ -105,7 +109,7 @@ absl::StatusOr<int64_t> AssetStore::Append(const Sha256Digest& digest, int64_t s
   if (size_bytes < 0 || chunk_bytes > size_bytes - offset) {
     DropUpload(digest);
     return absl::InvalidArgumentError(
-        absl::StrCat("asset ", ToHex(digest), ": more bytes came than its size_bytes ", size_bytes));
+        absl::StrCat("asset ", ToHex(digest), ": more bytes than its size_bytes ", size_bytes));
   }
   const int64_t skip = std::min(chunk_bytes, upload.received_bytes - offset);
   if (absl::Status status = MakeRoom(chunk_bytes - skip, digest); !status.ok()) return status;
@@ -244,6 +248,31 @@ absl::StatusOr<std::string> AssetStore::Read(const Sha256Digest& digest, int64_t
     return absl::NotFoundError(absl::StrCat("asset ", ToHex(digest), " cannot be read"));
   }
   return bytes;
+}
+
+StoredFile::~StoredFile() {
+  std::error_code ignored;
+  if (is_copy_) fs::remove(path_, ignored);
+}
+
+absl::StatusOr<StoredFile> AssetStore::OpenFile(const Sha256Digest& digest) const {
+  if (!dir_.empty() && Has(digest)) return StoredFile(PathOf(digest), false);
+  const absl::StatusOr<std::string> bytes =
+      Read(digest, 0, std::numeric_limits<int64_t>::max());
+  if (!bytes.ok()) return bytes.status();
+  std::string path = (fs::temp_directory_path() / "tessera-XXXXXX").string();
+  const int descriptor = mkstemp(path.data());
+  if (descriptor < 0) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("cannot write ", path, ": ", std::strerror(errno)));
+  }
+  close(descriptor);
+  StoredFile copy(path, true);
+  std::ofstream file(path, std::ios::binary);
+  file.write(bytes->data(), static_cast<std::streamsize>(bytes->size()));
+  file.close();
+  if (!file) return absl::ResourceExhaustedError(absl::StrCat("cannot write ", path));
+  return copy;
 }
 
 absl::Status AssetStore::CheckPresent(const std::vector<Sha256Digest>& digests) const {

@@ -5,12 +5,11 @@
 #pragma once
 
 #include <cstdint>
-#include <list>
 #include <map>
 #include <memory>
 #include <mutex>
-#include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -18,6 +17,22 @@
 #include "core/base/sha256.h"
 
 namespace tessera {
+
+// An asset as a file that can be opened by its path: the store's own, or a temporary copy that goes
+// with this object.
+class StoredFile {
+ public:
+  StoredFile(std::string path, bool is_copy) : path_(std::move(path)), is_copy_(is_copy) {}
+  StoredFile(StoredFile&& other) noexcept
+      : path_(std::move(other.path_)), is_copy_(std::exchange(other.is_copy_, false)) {}
+  StoredFile& operator=(StoredFile&&) = delete;
+  ~StoredFile();
+  const std::string& path() const { return path_; }
+
+ private:
+  std::string path_;
+  bool is_copy_;
+};
 
 class AssetStore {
  public:
@@ -43,6 +58,9 @@ class AssetStore {
   // Errors: NOT_FOUND, OUT_OF_RANGE.
   absl::StatusOr<std::string> Read(const Sha256Digest& digest, int64_t offset,
                                    int64_t bytes_max) const;
+  // For libraries that read files only. Errors: NOT_FOUND; RESOURCE_EXHAUSTED (temporary folder).
+  absl::StatusOr<StoredFile> OpenFile(const Sha256Digest& digest) const;
+
   // Errors: FAILED_PRECONDITION naming what is missing.
   absl::Status CheckPresent(const std::vector<Sha256Digest>& digests) const;
   // Keeps the assets while `job` lives. Errors: as CheckPresent.
