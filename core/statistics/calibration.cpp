@@ -12,9 +12,6 @@ constexpr int kSpreadRadiusPx = 1;
 static_assert(kPoolRadiusPx + kSpreadRadiusPx == kCalibrationRadiusPx);
 constexpr int kBandRows = 32;  // bounds the memory of a call on a whole frame
 
-// The least weight in the pool. Without it, pixels that have not met their rare bright samples yet
-// believe only each other (coverage 91 % instead of 96 %, docs/statistics.md).
-constexpr float kWeightMin = 1.0f / 32;
 // The spread is averaged 3x3 with the weights (1, kSpreadCentre, 1) along each axis: less would
 // leave noise that underestimates skewed pixels, more blurs texture (docs/statistics.md).
 constexpr float kSpreadCentre = 4;
@@ -27,6 +24,7 @@ struct Inputs {
   explicit Inputs(const PixelRect& band)
       : rect(band.Expand(kCalibrationRadiusPx)),
         known(static_cast<size_t>(rect.area())),
+        weight_min(known.size()),
         spread(known.size()),
         smooth_spread(known.size()) {
     for (Plane& plane : difference) plane.resize(known.size());
@@ -34,6 +32,7 @@ struct Inputs {
 
   PixelRect rect;
   Plane known;          // 1 where both halves have samples
+  Plane weight_min;     // the least weight in the pixel's pool, see AddNeighbours
   Plane spread;         // sample variance of the mean, summed over channels
   Plane smooth_spread;  // its weighted average over the known pixels of the 3x3 around
   Planes3 difference;   // (A - B)^2 n_A n_B / n^2
@@ -50,6 +49,7 @@ void Read(const FramePlanes& planes, Inputs* inputs) {
       const float share_b = static_cast<float>(count / 2) / static_cast<float>(count);
       const float scale = (1.0f - share_b) * share_b;
       inputs->known[to] = 1;
+      inputs->weight_min[to] = 1.0f / static_cast<float>(count);
       for (int c = 0; c < 3; ++c) {
         const float difference = planes.color_half[0][c][from] - planes.color_half[1][c][from];
         inputs->difference[c][to] = difference * difference * scale;
@@ -88,10 +88,13 @@ struct RowSums {
   Planes3 difference;
 };
 
-// Adds the neighbour at `offset` to the sums of the row that begins at `centre`.
+// Adds the neighbour at `offset` to the sums of the row that begins at `centre`. Weights fall with
+// the square of the ratio of spreads, down to 1/n: an event that n samples of a pixel have missed
+// may well be that likely, and a pool of pixels that all missed it would believe themselves exact.
 void AddNeighbours(const Inputs& inputs, size_t centre, std::ptrdiff_t offset, RowSums* sums) {
   const size_t neighbour = static_cast<size_t>(static_cast<std::ptrdiff_t>(centre) + offset);
   const float* own_spread = inputs.smooth_spread.data() + centre;
+  const float* own_min = inputs.weight_min.data() + centre;
   const float* spread = inputs.smooth_spread.data() + neighbour;
   const float* known = inputs.known.data() + neighbour;
   const float* red = inputs.difference[0].data() + neighbour;
@@ -106,7 +109,7 @@ void AddNeighbours(const Inputs& inputs, size_t centre, std::ptrdiff_t offset, R
     const float a = own_spread[i];
     const float b = spread[i];
     const float likeness = 2.0f * (a < b ? a : b) / (a + b);
-    const float weight = (kWeightMin + (1.0f - kWeightMin) * likeness) * known[i];
+    const float weight = (own_min[i] + (1.0f - own_min[i]) * (likeness * likeness)) * known[i];
     weight_sum[i] += weight;
     red_sum[i] += weight * red[i];
     green_sum[i] += weight * green[i];
