@@ -1,8 +1,10 @@
-// Renders one view of a glTF scene with the path tracer alone (no coordinator, no filter), writes the
-// raw mean, and prints samples and rays a second. With --reference it prints the ratio of the mean
-// brightness to another picture's.
-//   path_tracer_bench SCENE --look-from X,Y,Z --look-at X,Y,Z --fov-y DEG [--env FILE | --sky R,G,B]
+// Renders one view of a glTF scene with the path tracer alone (no coordinator, no filter), writes
+// the raw mean, and prints samples and rays a second. With --reference it prints the ratio of the
+// mean brightness to another picture's.
+//   path_tracer_bench SCENE --look-from X,Y,Z --look-at X,Y,Z --fov-y DEG [--env FILE | --sky
+//   R,G,B]
 //     [--size WxH] [--spp N] [--threads N] [--out FILE.exr] [--png FILE.png] [--reference FILE.exr]
+#include <CLI/CLI.hpp>
 #include <atomic>
 #include <chrono>
 #include <cstdio>
@@ -12,8 +14,6 @@
 #include <string>
 #include <thread>
 #include <vector>
-
-#include <CLI/CLI.hpp>
 
 #include "absl/status/statusor.h"
 #include "core/base/tile_grid.h"
@@ -169,7 +169,8 @@ absl::Status Run(const Options& options) {
   if (!options.png.empty()) {
     if (absl::Status s = WritePng(options.png, picture, {}); !s.ok()) return s;
   }
-  return options.reference.empty() ? absl::OkStatus() : CompareBrightness(planes, options.reference);
+  return options.reference.empty() ? absl::OkStatus()
+                                   : CompareBrightness(planes, options.reference);
 }
 
 }  // namespace

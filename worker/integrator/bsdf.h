@@ -13,9 +13,9 @@ struct BsdfParameters {
   float metallic = 0;
   float roughness = 1;
   float transmission = 0;
-  float ior = 1.5f;       // 1 = no interface: no reflection at all
+  float ior = 1.5f;  // 1 = no interface: no reflection at all
   bool thin_walled = true;
-  bool entering = true;   // wo is outside (matters for glass that is not thin-walled)
+  bool entering = true;  // wo is outside (matters for glass that is not thin-walled)
 };
 
 struct BsdfValue {
@@ -54,15 +54,15 @@ class Bsdf {
   Imath::V3f wo_;
   float alpha_;
   float roughness_;
-  float lambda_o_;           // Smith's Lambda of wo
-  float eta_;                // index beyond the boundary over that on wo's side
+  float lambda_o_;  // Smith's Lambda of wo
+  float eta_;       // index beyond the boundary over that on wo's side
   bool thin_walled_;
   Imath::V3f base_color_;
-  Imath::V3f diffuse_;       // diffuse reflectance below the coat, over (1 - average coat albedo)
-  float diffuse_share_;      // 1 - coat albedo towards wo
-  float share_average_;      // its cosine-weighted average over wo
+  Imath::V3f diffuse_;   // diffuse reflectance below the coat, over (1 - average coat albedo)
+  float diffuse_share_;  // 1 - coat albedo towards wo
+  float share_average_;  // its cosine-weighted average over wo
   float coat_f0_, coat_f90_;
-  Imath::V3f f0_;            // of all specular reflection but glass's, lobe weights included
+  Imath::V3f f0_;  // of all specular reflection but glass's, lobe weights included
   float f90_;
   float glass_weight_;
   Imath::V3f specular_albedo_;

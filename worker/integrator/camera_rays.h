@@ -13,7 +13,8 @@ struct CameraRay {
   V3f direction;  // unit
 };
 
-// The unit disc, area-preserving. Shirley & Chiu 1997, "A Low Distortion Map Between Disk and Square".
+// The unit disc, area-preserving. Shirley & Chiu 1997, "A Low Distortion Map Between Disk and
+// Square".
 V2f UnitDiscOfSquare(const V2f& u);
 
 class CameraRays {
@@ -29,7 +30,8 @@ class CameraRays {
   bool orthographic_;
   V3f position_, right_, up_, forward_;
   float half_width_px_, half_height_px_;
-  float scale_;  // tangent of half the field of view, or half the height in metres, over half_height_px
+  float scale_;  // tangent of half the field of view, or half the height in metres, over
+                 // half_height_px
   float lens_radius_, focus_distance_;
 };
 

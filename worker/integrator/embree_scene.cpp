@@ -1,8 +1,8 @@
 #include "worker/integrator/embree_scene.h"
 
-#include <limits>
-
 #include <tbb/global_control.h>
+
+#include <limits>
 
 #include "absl/strings/str_cat.h"
 #include "worker/integrator/isa_class.h"
@@ -132,7 +132,8 @@ absl::Status EmbreeScene::Build(Scene* scene, const SurfaceReader& surfaces) {
       geometry = rtcNewGeometry(device_.get(), RTC_GEOMETRY_TYPE_INSTANCE);
       rtcSetGeometryInstancedScene(geometry, own.get());
       // Row vectors in row-major order are column vectors in column-major order.
-      rtcSetGeometryTransform(geometry, 0, RTC_FORMAT_FLOAT4X4_COLUMN_MAJOR, &instance.to_world[0][0]);
+      rtcSetGeometryTransform(geometry, 0, RTC_FORMAT_FLOAT4X4_COLUMN_MAJOR,
+                              &instance.to_world[0][0]);
       rtcCommitGeometry(geometry);
     }
     rtcAttachGeometryByID(world_.get(), geometry, i);
@@ -144,7 +145,8 @@ absl::Status EmbreeScene::Build(Scene* scene, const SurfaceReader& surfaces) {
 
 absl::Status EmbreeScene::DeviceStatus() const {
   switch (const RTCError error = rtcGetDeviceError(device_.get())) {
-    case RTC_ERROR_NONE: return absl::OkStatus();
+    case RTC_ERROR_NONE:
+      return absl::OkStatus();
     case RTC_ERROR_OUT_OF_MEMORY:
       return absl::ResourceExhaustedError(
           "no memory for the scene's acceleration structures; use a machine with more");
@@ -156,8 +158,18 @@ absl::Status EmbreeScene::DeviceStatus() const {
 bool EmbreeScene::Intersect(const Ray& ray, uint64_t key, RayHit* hit) const {
   QueryContext context = NewContext(key);
   RTCRayHit query;
-  query.ray = {ray.origin.x, ray.origin.y, ray.origin.z, 0, ray.direction.x, ray.direction.y,
-               ray.direction.z, 0, ray.t_max, 0xffffffffu, 0, 0};
+  query.ray = {ray.origin.x,
+               ray.origin.y,
+               ray.origin.z,
+               0,
+               ray.direction.x,
+               ray.direction.y,
+               ray.direction.z,
+               0,
+               ray.t_max,
+               0xffffffffu,
+               0,
+               0};
   query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
   query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
   rtcIntersect1(world_.get(), &context.embree, &query);
@@ -170,8 +182,18 @@ bool EmbreeScene::Intersect(const Ray& ray, uint64_t key, RayHit* hit) const {
 
 float EmbreeScene::Transmittance(const Ray& ray) const {
   QueryContext context = NewContext(0);
-  RTCRay query = {ray.origin.x, ray.origin.y, ray.origin.z, 0, ray.direction.x, ray.direction.y,
-                  ray.direction.z, 0, ray.t_max, 0xffffffffu, 0, 0};
+  RTCRay query = {ray.origin.x,
+                  ray.origin.y,
+                  ray.origin.z,
+                  0,
+                  ray.direction.x,
+                  ray.direction.y,
+                  ray.direction.z,
+                  0,
+                  ray.t_max,
+                  0xffffffffu,
+                  0,
+                  0};
   rtcOccluded1(world_.get(), &context.embree, &query);
   return query.tfar < 0 ? 0.f : context.transmittance;
 }

@@ -1,18 +1,17 @@
 // The scene's geometry in Embree: nearest hits and shadow rays. Alpha is decided inside traversal:
-// a nearest-hit query meets a blended point with probability alpha, by a hash of (ray key, instance,
-// triangle), whatever the order of traversal; a shadow ray multiplies transmittances.
+// a nearest-hit query meets a blended point with probability alpha, by a hash of (ray key,
+// instance, triangle), whatever the order of traversal; a shadow ray multiplies transmittances.
 // Knows no material but its alpha. The only file that includes Embree besides its source.
 #pragma once
+
+#include <Imath/ImathBox.h>
+#include <embree3/rtcore.h>
 
 #include <atomic>
 #include <cstdint>
 #include <memory>
 #include <string>
 #include <vector>
-
-#include <embree3/rtcore.h>
-
-#include <Imath/ImathBox.h>
 
 #include "absl/status/statusor.h"
 #include "worker/integrator/surface_reader.h"
@@ -32,8 +31,10 @@ class EmbreeScene {
   // Adds room behind each mesh's positions, as Embree reads 16 bytes at a time. Borrows both.
   // Errors: RESOURCE_EXHAUSTED  Embree is out of memory
   //         INVALID_ARGUMENT    unknown ISA class
-  static absl::StatusOr<std::unique_ptr<EmbreeScene>> Create(Scene* scene, const SurfaceReader& surfaces,
-                                                             const std::string& isa, int build_threads);
+  static absl::StatusOr<std::unique_ptr<EmbreeScene>> Create(Scene* scene,
+                                                             const SurfaceReader& surfaces,
+                                                             const std::string& isa,
+                                                             int build_threads);
   ~EmbreeScene();
   EmbreeScene(const EmbreeScene&) = delete;
   EmbreeScene& operator=(const EmbreeScene&) = delete;

@@ -89,16 +89,19 @@ DirectionSample EnvironmentSampler::Sample(const V3f& normal, const V2f& u) cons
   }
   float uy = u.y, ux = u.x;
   const int y = SampleRunningSums(row_sums_, &uy);
-  const std::span<const float> columns(&column_sums_[size_t(y) * (light_.width + 1)], light_.width + 1);
+  const std::span<const float> columns(&column_sums_[size_t(y) * (light_.width + 1)],
+                                       light_.width + 1);
   const int x = SampleRunningSums(columns, &ux);
   // Uniform in solid angle inside the texel.
   const float cosine = row_cosines_[y] + (row_cosines_[y + 1] - row_cosines_[y]) * uy;
   const float sine = std::sqrt(Clamp01(1 - cosine * cosine));
   const SinCos<float> phi = SinCosTurns((static_cast<float>(x) + ux) / light_.width - 0.5f);
   const float mx = sine * phi.cos, mz = sine * phi.sin;
-  const V3f direction(rotate_cos_ * mx + rotate_sin_ * mz, cosine, rotate_cos_ * mz - rotate_sin_ * mx);
+  const V3f direction(rotate_cos_ * mx + rotate_sin_ * mz, cosine,
+                      rotate_cos_ * mz - rotate_sin_ * mx);
   const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPiFloat / light_.width;
-  return {direction, (row_sums_[y + 1] - row_sums_[y]) * (columns[x + 1] - columns[x]) / solid_angle};
+  return {direction,
+          (row_sums_[y + 1] - row_sums_[y]) * (columns[x + 1] - columns[x]) / solid_angle};
 }
 
 float EnvironmentSampler::Pdf(const V3f& normal, const V3f& direction) const {

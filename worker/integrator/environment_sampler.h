@@ -3,10 +3,10 @@
 // interpolated luminance is. A uniform sky is drawn by the cosine to the receiver's normal.
 #pragma once
 
+#include <Imath/ImathVec.h>
+
 #include <optional>
 #include <vector>
-
-#include <Imath/ImathVec.h>
 
 #include "worker/scene/scene.h"
 
@@ -42,9 +42,9 @@ class EnvironmentSampler {
   bool uniform_;
   float rotate_sin_ = 0, rotate_cos_ = 1;
   double irradiance_ = 0;
-  std::vector<float> row_sums_;          // height + 1 running sums of the rows
-  std::vector<float> column_sums_;       // height x (width + 1), of the texels of a row
-  std::vector<float> row_cosines_;       // height + 1: y of the rows' edges, 1 at the top
+  std::vector<float> row_sums_;     // height + 1 running sums of the rows
+  std::vector<float> column_sums_;  // height x (width + 1), of the texels of a row
+  std::vector<float> row_cosines_;  // height + 1: y of the rows' edges, 1 at the top
 };
 
 }  // namespace tessera

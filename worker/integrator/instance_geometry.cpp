@@ -7,7 +7,8 @@
 namespace tessera {
 
 GeometryTransform::GeometryTransform(const Imath::M44f& m) : to_world(m) {
-  const V3f r0(m[0][0], m[0][1], m[0][2]), r1(m[1][0], m[1][1], m[1][2]), r2(m[2][0], m[2][1], m[2][2]);
+  const V3f r0(m[0][0], m[0][1], m[0][2]), r1(m[1][0], m[1][1], m[1][2]),
+      r2(m[2][0], m[2][1], m[2][2]);
   const V3f c0 = r1.cross(r2), c1 = r2.cross(r0), c2 = r0.cross(r1);
   mirrors = r0.dot(c0) < 0;
   const float s = mirrors ? -1.f : 1.f;
@@ -24,13 +25,15 @@ V3f GeometryTransform::Point(const V3f& p) const {
 
 V3f GeometryTransform::Vector(const V3f& v) const {
   const Imath::M44f& m = to_world;
-  return {v.x * m[0][0] + v.y * m[1][0] + v.z * m[2][0], v.x * m[0][1] + v.y * m[1][1] + v.z * m[2][1],
+  return {v.x * m[0][0] + v.y * m[1][0] + v.z * m[2][0],
+          v.x * m[0][1] + v.y * m[1][1] + v.z * m[2][1],
           v.x * m[0][2] + v.y * m[1][2] + v.z * m[2][2]};
 }
 
 V3f GeometryTransform::Normal(const V3f& n) const {
   const Imath::M33f& c = cofactors;
-  return Unit({n.x * c[0][0] + n.y * c[1][0] + n.z * c[2][0], n.x * c[0][1] + n.y * c[1][1] + n.z * c[2][1],
+  return Unit({n.x * c[0][0] + n.y * c[1][0] + n.z * c[2][0],
+               n.x * c[0][1] + n.y * c[1][1] + n.z * c[2][1],
                n.x * c[0][2] + n.y * c[1][2] + n.z * c[2][2]});
 }
 
@@ -62,8 +65,7 @@ std::vector<InstanceGeometry> PlaceInstances(Scene* scene) {
       MoveToWorld(GeometryTransform(instance.to_world), &mesh);
       instance.to_world = Imath::M44f();
     }
-    geometries.push_back(
-        {&mesh, mesh.material, instanced, GeometryTransform(instance.to_world)});
+    geometries.push_back({&mesh, mesh.material, instanced, GeometryTransform(instance.to_world)});
   }
   return geometries;
 }

@@ -2,10 +2,10 @@
 // space, a mesh used more often stays in its own and keeps each instance's transform.
 #pragma once
 
-#include <vector>
-
 #include <Imath/ImathMatrix.h>
 #include <Imath/ImathVec.h>
+
+#include <vector>
 
 #include "worker/scene/scene.h"
 
@@ -28,7 +28,7 @@ struct GeometryTransform {
 struct InstanceGeometry {
   const Mesh* mesh;
   int material;
-  bool instanced;               // else the mesh is in world space and `transform` the identity
+  bool instanced;  // else the mesh is in world space and `transform` the identity
   GeometryTransform transform;
 };
 

@@ -46,14 +46,14 @@ absl::StatusOr<std::string> EmbreeIsaOf(const std::string& isa_class) {
   for (const IsaClass& c : kClasses) {
     if (isa_class != c.name) continue;
     if (Runs(isa_class)) return std::string(c.embree);
-    return absl::FailedPreconditionError(
-        absl::StrCat("this machine cannot run ISA class ", isa_class, "; it runs ",
-                     absl::StrJoin(SupportedIsaClasses(), ", ")));
+    return absl::FailedPreconditionError(absl::StrCat("this machine cannot run ISA class ",
+                                                      isa_class, "; it runs ",
+                                                      absl::StrJoin(SupportedIsaClasses(), ", ")));
   }
   std::vector<std::string> names;
   for (const IsaClass& c : kClasses) names.push_back(c.name);
-  return absl::InvalidArgumentError(absl::StrCat("unknown ISA class '", isa_class, "'; known: ",
-                                                 absl::StrJoin(names, ", ")));
+  return absl::InvalidArgumentError(
+      absl::StrCat("unknown ISA class '", isa_class, "'; known: ", absl::StrJoin(names, ", ")));
 }
 
 }  // namespace tessera

@@ -18,9 +18,12 @@ enum Group { kEnvironmentGroup, kDirectionalGroup, kLocalGroup, kNumGroups };
 double PunctualPower(const PunctualLight& light, float scene_radius) {
   const double intensity = Luminance(light.intensity);
   switch (light.type) {
-    case LightType::kPoint: return 4 * kPiDouble * intensity;
-    case LightType::kSpot: return 2 * kPiDouble * intensity * (1 - light.outer_cone_cos);
-    case LightType::kDirectional: break;
+    case LightType::kPoint:
+      return 4 * kPiDouble * intensity;
+    case LightType::kSpot:
+      return 2 * kPiDouble * intensity * (1 - light.outer_cone_cos);
+    case LightType::kDirectional:
+      break;
   }
   return kPiDouble * scene_radius * scene_radius * intensity;
 }
@@ -92,7 +95,8 @@ double LightSampler::TrianglePower(uint32_t instance, uint32_t triangle, float p
   const WorldTriangle t = surfaces_.TriangleOf(instance, triangle);
   const V3f normal = (t.b - t.a).cross(t.c - t.a);
   const double area = 0.5 * std::sqrt(normal.dot(normal));
-  // Mean emission over a lattice of 10 points; never quite zero, as a texture may be bright between.
+  // Mean emission over a lattice of 10 points; never quite zero, as a texture may be bright
+  // between.
   double sum = 0;
   constexpr int kSteps = 4;
   for (int i = 0; i < kSteps; ++i) {
@@ -104,8 +108,8 @@ double LightSampler::TrianglePower(uint32_t instance, uint32_t triangle, float p
   return 2 * kPiDouble * area * (sum / (kSteps * (kSteps + 1) / 2) + 0.01 * peak);
 }
 
-bool LightSampler::Sample(const V3f& receiver, const V3f& receiver_normal, float u_choice, const V2f& u,
-                          LightSample* sample) const {
+bool LightSampler::Sample(const V3f& receiver, const V3f& receiver_normal, float u_choice,
+                          const V2f& u, LightSample* sample) const {
   const int chosen = SampleRunningSums(running_sums_, &u_choice);
   const Entry& entry = entries_[chosen];
   const float probability = ChoiceProbability(chosen);
@@ -121,8 +125,12 @@ bool LightSampler::Sample(const V3f& receiver, const V3f& receiver_normal, float
       lit = d.pdf > 0;
       break;
     }
-    case Kind::kPunctual: lit = SamplePunctual(scene_.lights[entry.index], receiver, sample); break;
-    case Kind::kTriangle: lit = SampleTriangle(entry, receiver, u, sample); break;
+    case Kind::kPunctual:
+      lit = SamplePunctual(scene_.lights[entry.index], receiver, sample);
+      break;
+    case Kind::kTriangle:
+      lit = SampleTriangle(entry, receiver, u, sample);
+      break;
   }
   sample->pdf *= probability;
   return lit && sample->pdf > 0;
@@ -145,7 +153,8 @@ bool LightSampler::SamplePunctual(const PunctualLight& light, const V3f& receive
   if (!(distance2 > 0)) return false;
   sample->wi = to_light * (1 / std::sqrt(distance2));
   float intensity = 1;
-  if (light.type == LightType::kSpot) intensity = SpotFalloff(light, -sample->wi.dot(light.direction));
+  if (light.type == LightType::kSpot)
+    intensity = SpotFalloff(light, -sample->wi.dot(light.direction));
   sample->radiance = light.intensity * (intensity / distance2);
   return intensity > 0;
 }

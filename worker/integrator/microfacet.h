@@ -4,10 +4,10 @@
 // Caps".
 #pragma once
 
+#include <Imath/ImathVec.h>
+
 #include <algorithm>
 #include <cmath>
-
-#include <Imath/ImathVec.h>
 
 #include "worker/integrator/portable_math.h"
 
@@ -16,7 +16,9 @@ namespace tessera {
 // Smaller widths than this are not told apart in float; 0.02 degrees.
 inline constexpr float kAlphaMin = 2e-4f;
 
-inline float AlphaOfRoughness(float roughness) { return std::max(roughness * roughness, kAlphaMin); }
+inline float AlphaOfRoughness(float roughness) {
+  return std::max(roughness * roughness, kAlphaMin);
+}
 
 // Density of normals, 1/sr. Written without the difference 1 - z^2, which cancels for small alpha.
 inline float GgxD(const Imath::V3f& h, float alpha) {

@@ -2,9 +2,9 @@
 // Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
 #pragma once
 
-#include <cmath>
-
 #include <Imath/ImathVec.h>
+
+#include <cmath>
 
 namespace tessera {
 

@@ -47,9 +47,9 @@ absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<S
   impl->lights =
       std::make_unique<LightSampler>(*s, *impl->surfaces, impl->environment.get(), radius);
   impl->camera = std::make_unique<CameraRays>(s->camera, settings.width, settings.height);
-  impl->walker = std::make_unique<PathWalker>(PathWalker::Parts{
-      *impl->surfaces, *impl->embree, impl->environment.get(), *impl->lights, *impl->camera,
-      settings.max_depth});
+  impl->walker = std::make_unique<PathWalker>(
+      PathWalker::Parts{*impl->surfaces, *impl->embree, impl->environment.get(), *impl->lights,
+                        *impl->camera, settings.max_depth});
   return std::unique_ptr<PathTracer>(new PathTracer(std::move(impl)));
 }
 

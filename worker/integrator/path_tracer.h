@@ -17,7 +17,7 @@
 namespace tessera {
 
 struct RenderSettings {
-  int width = 640;   // of the frame
+  int width = 640;  // of the frame
   int height = 360;
   int max_depth = 8;  // bounces after the camera hit
   uint64_t seed = 0;
@@ -27,7 +27,7 @@ struct RenderSettings {
 
 struct RenderCounters {
   int64_t samples = 0;
-  int64_t rays = 0;        // Embree queries, shadow rays included
+  int64_t rays = 0;  // Embree queries, shadow rays included
   int64_t non_finite = 0;
 };
 

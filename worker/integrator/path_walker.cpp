@@ -40,12 +40,12 @@ void Store(const V3f& v, float (&out)[3]) {
 }  // namespace
 
 struct PathWalker::PathState {
-  Ray ray;                 // unit direction
+  Ray ray;  // unit direction
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);
-  int depth = 0;           // surfaces scattered at so far
-  float pdf = 0;           // 1/sr, with which the ray's direction was drawn; depth > 0
-  V3f normal;              // shading normal of the surface that the ray leaves; depth > 0
+  int depth = 0;  // surfaces scattered at so far
+  float pdf = 0;  // 1/sr, with which the ray's direction was drawn; depth > 0
+  V3f normal;     // shading normal of the surface that the ray leaves; depth > 0
   uint64_t hash_key = 0;
   int64_t rays = 0;
 };
@@ -145,15 +145,16 @@ PixelSample PathWalker::Trace(const SobolSampler& sampler, int x, int y, int64_t
   path.hash_key = sampler.HashKey();
   const V2f in_pixel = sampler.Get2D(kPixelGroup);
   const V2f lens = parts_.camera.has_lens() ? sampler.Get2D(kLensGroup) : V2f(0.5f, 0.5f);
-  const CameraRay camera_ray =
-      parts_.camera.At(static_cast<float>(x) + in_pixel.x, static_cast<float>(y) + in_pixel.y, lens);
+  const CameraRay camera_ray = parts_.camera.At(static_cast<float>(x) + in_pixel.x,
+                                                static_cast<float>(y) + in_pixel.y, lens);
   path.ray = {camera_ray.origin, camera_ray.direction, kInfinity};
   const int max_depth = std::min(parts_.max_depth, kDepthLimit);
 
   for (;;) {
     RayHit hit;
     ++path.rays;
-    if (!parts_.embree.Intersect(path.ray, path.hash_key + static_cast<uint64_t>(path.depth), &hit)) {
+    if (!parts_.embree.Intersect(path.ray, path.hash_key + static_cast<uint64_t>(path.depth),
+                                 &hit)) {
       AddEscaped(&path);
       break;
     }

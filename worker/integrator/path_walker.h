@@ -8,8 +8,8 @@
 #include "worker/integrator/camera_rays.h"
 #include "worker/integrator/embree_scene.h"
 #include "worker/integrator/light_sampler.h"
-#include "worker/integrator/sobol_sampler.h"
 #include "worker/integrator/onb.h"
+#include "worker/integrator/sobol_sampler.h"
 #include "worker/integrator/surface_reader.h"
 
 namespace tessera {
@@ -30,8 +30,8 @@ class PathWalker {
   };
   explicit PathWalker(const Parts& parts) : parts_(parts) {}
 
-  // The sample that `sampler` stands for, in pixel (x, y) (box filter). Adds Embree queries to *rays.
-  // Threads: const, any number at once.
+  // The sample that `sampler` stands for, in pixel (x, y) (box filter). Adds Embree queries to
+  // *rays. Threads: const, any number at once.
   PixelSample Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const;
 
  private:
@@ -40,8 +40,8 @@ class PathWalker {
   void AddEmission(const RayHit& hit, const Surface& surface, PathState* path) const;
   void AddDirectLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
                       const SobolSampler& sampler, PathState* path) const;
-  bool Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& frame, const SobolSampler& sampler,
-               PathState* path) const;
+  bool Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
+               const SobolSampler& sampler, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;
 
   Parts parts_;

@@ -3,11 +3,11 @@
 // offered. Not a general replacement of <cmath>: the stated domains only.
 #pragma once
 
+#include <Imath/ImathVec.h>
+
 #include <bit>
 #include <cmath>
 #include <cstdint>
-
-#include <Imath/ImathVec.h>
 
 namespace tessera {
 
@@ -26,15 +26,17 @@ struct SinCos {
 template <typename Real>
 inline SinCos<Real> SinCosTurns(Real turns) {
   const Real quarters = turns * Real(4);
-  const int64_t quadrant = static_cast<int64_t>(quarters + (quarters >= 0 ? Real(0.5) : Real(-0.5)));
+  const int64_t quadrant =
+      static_cast<int64_t>(quarters + (quarters >= 0 ? Real(0.5) : Real(-0.5)));
   const Real x = (quarters - static_cast<Real>(quadrant)) * Real(kPiDouble / 2);
   const Real y = x * x;
   Real s, c;
   if constexpr (sizeof(Real) == sizeof(float)) {
-    s = x * (1 + y * (Real(-1.0 / 6) + y * (Real(1.0 / 120) + y * (Real(-1.0 / 5040) +
-             y * Real(1.0 / 362880)))));
-    c = 1 + y * (Real(-0.5) + y * (Real(1.0 / 24) + y * (Real(-1.0 / 720) +
-             y * (Real(1.0 / 40320) - y * Real(1.0 / 3628800)))));
+    s = x * (1 + y * (Real(-1.0 / 6) +
+                      y * (Real(1.0 / 120) + y * (Real(-1.0 / 5040) + y * Real(1.0 / 362880)))));
+    c = 1 + y * (Real(-0.5) +
+                 y * (Real(1.0 / 24) +
+                      y * (Real(-1.0 / 720) + y * (Real(1.0 / 40320) - y * Real(1.0 / 3628800)))));
   } else {
     Real s_sum = 0, c_sum = 0;
     for (int k = 9; k >= 1; --k) {
@@ -45,10 +47,14 @@ inline SinCos<Real> SinCosTurns(Real turns) {
     c = 1 + c_sum;
   }
   switch (quadrant & 3) {
-    case 0: return {s, c};
-    case 1: return {c, -s};
-    case 2: return {-s, -c};
-    default: return {-c, s};
+    case 0:
+      return {s, c};
+    case 1:
+      return {c, -s};
+    case 2:
+      return {-s, -c};
+    default:
+      return {-c, s};
   }
 }
 
@@ -65,8 +71,10 @@ inline float ArcTan2(float y, float x) {
     t = (t - 1) / (t + 1);
   }
   const float s = t * t;
-  const float series = s * (-1.f / 3 + s * (1.f / 5 + s * (-1.f / 7 + s * (1.f / 9 + s * (-1.f / 11 +
-                       s * (1.f / 13 - s * (1.f / 15)))))));
+  const float series =
+      s * (-1.f / 3 +
+           s * (1.f / 5 + s * (-1.f / 7 +
+                               s * (1.f / 9 + s * (-1.f / 11 + s * (1.f / 13 - s * (1.f / 15)))))));
   angle += t + t * series;
   if (ay > ax) angle = kPiFloat / 2 - angle;
   if (x < 0) angle = kPiFloat - angle;
@@ -84,7 +92,8 @@ inline float ArcCos(float cosine) {
 inline float ExpNegative(float x) {
   if (!(x > -87.f)) return 0;
   const int k = static_cast<int>(x * 1.44269504f - 0.5f);
-  const float r = (x - static_cast<float>(k) * 0.693359375f) + static_cast<float>(k) * 2.12194440e-4f;
+  const float r =
+      (x - static_cast<float>(k) * 0.693359375f) + static_cast<float>(k) * 2.12194440e-4f;
   const float series =
       1 + r * (1 + r * (0.5f + r * (1.f / 6 + r * (1.f / 24 + r * (1.f / 120 + r * (1.f / 720))))));
   return series * std::bit_cast<float>(static_cast<uint32_t>(127 + k) << 23);
@@ -97,7 +106,9 @@ inline float MaxComponent(const Imath::V3f& v) {
   return xy > v.z ? xy : v.z;
 }
 // Rec. 709 luminance.
-inline float Luminance(const Imath::V3f& v) { return 0.2126f * v.x + 0.7152f * v.y + 0.0722f * v.z; }
+inline float Luminance(const Imath::V3f& v) {
+  return 0.2126f * v.x + 0.7152f * v.y + 0.0722f * v.z;
+}
 // Unit vector; the zero vector stays zero.
 inline Imath::V3f Unit(const Imath::V3f& v) {
   const float length2 = v.dot(v);

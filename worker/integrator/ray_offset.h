@@ -3,19 +3,19 @@
 // Ray Tracing Gems, chapter 6.
 #pragma once
 
+#include <Imath/ImathVec.h>
+
 #include <bit>
 #include <cmath>
 #include <cstdint>
-
-#include <Imath/ImathVec.h>
 
 namespace tessera {
 
 // `p` on the surface; `n` its unit geometric normal on the side to which the ray leaves.
 inline Imath::V3f OffsetRayOrigin(const Imath::V3f& p, const Imath::V3f& n) {
-  constexpr float kOrigin = 1.f / 32;        // metres; below it a fixed distance is used
+  constexpr float kOrigin = 1.f / 32;  // metres; below it a fixed distance is used
   constexpr float kFloatScale = 1.f / 65536;
-  constexpr float kIntScale = 256;           // ulps along a unit normal
+  constexpr float kIntScale = 256;  // ulps along a unit normal
   Imath::V3f out;
   for (int c = 0; c < 3; ++c) {
     const int32_t ulps = static_cast<int32_t>(kIntScale * n[c]);

@@ -1,13 +1,13 @@
 // The numbers behind one sample of one pixel: padded 2-D groups of an Owen-scrambled Sobol' (0,2)-
-// sequence, indices shuffled by group. Each group of each half of each pixel is scrambled on its own,
-// so that halves and pixels are independent; every power-of-two prefix is a stratified (0,m,2)-net.
-// Burley 2020, "Practical Hash-based Owen Scrambling"; Laine & Karras 2011; the hash's constants by
-// Vegdahl 2021, "Building a Better LK Hash".
+// sequence, indices shuffled by group. Each group of each half of each pixel is scrambled on its
+// own, so that halves and pixels are independent; every power-of-two prefix is a stratified
+// (0,m,2)-net. Burley 2020, "Practical Hash-based Owen Scrambling"; Laine & Karras 2011; the hash's
+// constants by Vegdahl 2021, "Building a Better LK Hash".
 #pragma once
 
-#include <cstdint>
-
 #include <Imath/ImathVec.h>
+
+#include <cstdint>
 
 namespace tessera {
 
@@ -40,8 +40,8 @@ inline uint32_t ScrambleReversed(uint32_t v, uint32_t seed) {
   return v;
 }
 
-// Second Sobol' dimension in bit-reversed order. Its generator matrix is Pascal's triangle modulo 2,
-// binom(k, j), odd if and only if j is a submask of k (Lucas 1878): an XOR over supersets.
+// Second Sobol' dimension in bit-reversed order. Its generator matrix is Pascal's triangle modulo
+// 2, binom(k, j), odd if and only if j is a submask of k (Lucas 1878): an XOR over supersets.
 inline uint32_t SobolDimension1Reversed(uint32_t index) {
   index ^= (index >> 1) & 0x55555555u;
   index ^= (index >> 2) & 0x33333333u;
@@ -57,12 +57,13 @@ class SobolSampler {
       : SobolSampler(SequenceKey(seed, x, y, static_cast<int>(sample_index & 1)), sample_index) {}
   // The same with the key of (pixel, half) at hand.
   SobolSampler(uint64_t sequence_key, int64_t sample_index)
-      : key_(sequence_key), index_reversed_(ReverseBits(static_cast<uint32_t>(sample_index >> 1))) {}
+      : key_(sequence_key),
+        index_reversed_(ReverseBits(static_cast<uint32_t>(sample_index >> 1))) {}
 
   static uint64_t SequenceKey(uint64_t seed, int x, int y, int half) {
     const uint64_t pixel = uint64_t{static_cast<uint32_t>(x)} << 32 | static_cast<uint32_t>(y);
-    return MixBits(MixBits(MixBits(seed + 0x9e3779b97f4a7c15ull) ^ pixel) + static_cast<uint64_t>(half) +
-                   1);
+    return MixBits(MixBits(MixBits(seed + 0x9e3779b97f4a7c15ull) ^ pixel) +
+                   static_cast<uint64_t>(half) + 1);
   }
 
   // Two numbers in [0, 1) of dimension group `group`.
@@ -72,12 +73,15 @@ class SobolSampler {
     const uint32_t index = ReverseBits(ScrambleReversed(index_reversed_, static_cast<uint32_t>(g)));
     // Dimension 0 is the bit-reversed index, so its reversal is the index itself.
     const uint32_t u = ScrambleReversed(index, static_cast<uint32_t>(h));
-    const uint32_t v = ScrambleReversed(SobolDimension1Reversed(index), static_cast<uint32_t>(h >> 32));
+    const uint32_t v =
+        ScrambleReversed(SobolDimension1Reversed(index), static_cast<uint32_t>(h >> 32));
     return {UnitFloat(ReverseBits(u)), UnitFloat(ReverseBits(v))};
   }
 
   // A key of this sample for decisions by hash (which have no low-discrepancy dimension).
-  uint64_t HashKey() const { return MixBits(key_ ^ (uint64_t{index_reversed_} << 32 | 0x632be5abu)); }
+  uint64_t HashKey() const {
+    return MixBits(key_ ^ (uint64_t{index_reversed_} << 32 | 0x632be5abu));
+  }
 
  private:
   uint64_t key_;

@@ -10,12 +10,13 @@ namespace tessera {
 namespace {
 
 template <typename T>
-T Interpolate(const std::vector<T>& values, const std::array<uint32_t, 3>& corner, float u, float v) {
+T Interpolate(const std::vector<T>& values, const std::array<uint32_t, 3>& corner, float u,
+              float v) {
   return values[corner[0]] * (1 - u - v) + values[corner[1]] * u + values[corner[2]] * v;
 }
 
-V2f TextureUv(const Mesh& mesh, const TextureRef& ref, const std::array<uint32_t, 3>& corner, float u,
-              float v) {
+V2f TextureUv(const Mesh& mesh, const TextureRef& ref, const std::array<uint32_t, 3>& corner,
+              float u, float v) {
   const std::vector<V2f>& uvs = mesh.uvs[ref.uv_set == 1 ? 1 : 0];
   return uvs.empty() ? V2f(0, 0) : Interpolate(uvs, corner, u, v);
 }
@@ -119,8 +120,9 @@ WorldTriangle SurfaceReader::TriangleOf(uint32_t instance, uint32_t triangle) co
   return world;
 }
 
-V3f SurfaceReader::ShadingNormal(const Mesh& mesh, const InstanceGeometry& geometry, const RayHit& hit,
-                                 const V3f& geometric_normal, const WorldTriangle& corners) const {
+V3f SurfaceReader::ShadingNormal(const Mesh& mesh, const InstanceGeometry& geometry,
+                                 const RayHit& hit, const V3f& geometric_normal,
+                                 const WorldTriangle& corners) const {
   V3f normal = geometric_normal;
   const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
   if (!mesh.normals.empty()) {
@@ -134,8 +136,8 @@ V3f SurfaceReader::ShadingNormal(const Mesh& mesh, const InstanceGeometry& geome
 }
 
 V3f SurfaceReader::MappedNormal(const Material& material, const Mesh& mesh,
-                                const InstanceGeometry& geometry, const RayHit& hit, const V3f& normal,
-                                const WorldTriangle& corners) const {
+                                const InstanceGeometry& geometry, const RayHit& hit,
+                                const V3f& normal, const WorldTriangle& corners) const {
   const TextureRef& ref = material.normal_texture;
   const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
   V3f tangent(0, 0, 0);
@@ -149,7 +151,8 @@ V3f SurfaceReader::MappedNormal(const Material& material, const Mesh& mesh,
   } else if (const std::vector<V2f>& uvs = mesh.uvs[ref.uv_set == 1 ? 1 : 0]; !uvs.empty()) {
     // dp/du of the triangle. Corners come in the winding of the world; so must their uvs.
     const bool turned = geometry.instanced && geometry.transform.mirrors;
-    const V2f uv_a = uvs[corner[0]], uv_b = uvs[corner[turned ? 2 : 1]], uv_c = uvs[corner[turned ? 1 : 2]];
+    const V2f uv_a = uvs[corner[0]], uv_b = uvs[corner[turned ? 2 : 1]],
+              uv_c = uvs[corner[turned ? 1 : 2]];
     const V2f ab = uv_b - uv_a, ac = uv_c - uv_a;
     const float determinant = ab.x * ac.y - ab.y * ac.x;
     // v points down in glTF's textures, the map's green channel up: handedness by the uv's winding.
@@ -160,8 +163,8 @@ V3f SurfaceReader::MappedNormal(const Material& material, const Mesh& mesh,
   tangent = Unit(tangent - normal * normal.dot(tangent));
   if (tangent.dot(tangent) < 0.5f) return normal;
   const V3f bitangent = normal.cross(tangent) * handedness;
-  const V4f texel = LookupLinear(scene_.textures[ref.texture], ref,
-                                 TextureUv(mesh, ref, corner, hit.u, hit.v));
+  const V4f texel =
+      LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v));
   const float x = (2 * texel.x - 1) * material.normal_scale;
   const float y = (2 * texel.y - 1) * material.normal_scale;
   const V3f mapped = Unit(tangent * x + bitangent * y + normal * (2 * texel.z - 1));
@@ -219,7 +222,8 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   if (const TextureRef& ref = material.transmission_texture;
       ref.texture >= 0 && material.transmission > 0) {
     p.transmission *=
-        LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v)).x;
+        LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v))
+            .x;
   }
   p.ior = material.ior;
   p.thin_walled = !(material.thickness > 0);

@@ -2,11 +2,11 @@
 // Also answers the questions that do not need all of it: alpha and emission of a point.
 #pragma once
 
+#include <Imath/ImathVec.h>
+
 #include <cstdint>
 #include <span>
 #include <vector>
-
-#include <Imath/ImathVec.h>
 
 #include "worker/integrator/bsdf.h"
 #include "worker/integrator/instance_geometry.h"
@@ -19,7 +19,7 @@ struct RayHit {
   uint32_t instance;  // index into Scene::instances
   uint32_t triangle;  // index into its mesh's triangles
   float u, v;
-  float t;            // in units of the ray's direction
+  float t;  // in units of the ray's direction
 };
 
 struct Surface {
@@ -30,8 +30,8 @@ struct Surface {
   uint32_t material;     // index into Scene::materials
   V3f emission;          // radiance towards wo (unlit: the surface's colour)
   bool unlit;
-  bool absorbs;          // wo is inside a medium with Beer-Lambert absorption
-  V3f absorption;        // 1/m, of the medium behind the surface's front
+  bool absorbs;    // wo is inside a medium with Beer-Lambert absorption
+  V3f absorption;  // 1/m, of the medium behind the surface's front
   BsdfParameters bsdf;
 };
 
@@ -66,8 +66,8 @@ class SurfaceReader {
 
   const Scene& scene_;
   std::span<const InstanceGeometry> geometries_;
-  std::vector<V3f> absorption_;            // by material, 1/m
-  std::vector<uint8_t> texture_has_alpha_; // by texture
+  std::vector<V3f> absorption_;             // by material, 1/m
+  std::vector<uint8_t> texture_has_alpha_;  // by texture
 };
 
 }  // namespace tessera

@@ -34,7 +34,8 @@ int Wrap(int i, int size, TextureWrap wrap) {
       if (m < 0) m += period;
       return m < size ? m : period - 1 - m;
     }
-    case TextureWrap::kRepeat: break;
+    case TextureWrap::kRepeat:
+      break;
   }
   const int m = i % size;
   return m < 0 ? m + size : m;

@@ -1,12 +1,12 @@
 #include "worker/integrator/bsdf.h"
 
+#include <gtest/gtest.h>
+
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <string>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/sobol_sampler.h"
@@ -35,8 +35,8 @@ BsdfParameters White(float metallic, float roughness, float transmission, float 
 
 std::vector<BsdfParameters> AllKinds(float roughness) {
   std::vector<BsdfParameters> kinds = {White(0, roughness, 0, 1), White(0, roughness, 0),
-                                       White(1, roughness, 0), White(0.5f, roughness, 0),
-                                       White(0, roughness, 1), White(0.3f, roughness, 0.6f)};
+                                       White(1, roughness, 0),    White(0.5f, roughness, 0),
+                                       White(0, roughness, 1),    White(0.3f, roughness, 0.6f)};
   for (bool entering : {true, false}) {
     BsdfParameters glass = White(0, roughness, 1);
     glass.thin_walled = false;
@@ -51,8 +51,10 @@ std::vector<BsdfParameters> AllKinds(float roughness) {
 std::string Describe(const BsdfParameters& p, float cosine) {
   return "metallic " + std::to_string(p.metallic) + " roughness " + std::to_string(p.roughness) +
          " transmission " + std::to_string(p.transmission) + " ior " + std::to_string(p.ior) +
-         (p.thin_walled ? " thin" : p.entering ? " entering" : " leaving") + " cos " +
-         std::to_string(cosine);
+         (p.thin_walled ? " thin"
+          : p.entering  ? " entering"
+                        : " leaving") +
+         " cos " + std::to_string(cosine);
 }
 
 // Albedo under uniform light by sampling, with its standard error over independent scrambles.
@@ -163,9 +165,9 @@ TEST(BsdfTest, SamplesFollowThePdf) {
         const float z = static_cast<float>(-1 + 2 * (r + 0.5) / (kRows * kSub));
         for (int c = 0; c < kColumns * kSub; ++c) {
           const float turns = (c + 0.5f) / (kColumns * kSub);
-          expected[r / kSub * kColumns + c / kSub] += bsdf.Evaluate(DirectionAt(z, turns)).pdf *
-                                                      (4 * kPiDouble / (kRows * kSub * kColumns * kSub)) *
-                                                      kSamples;
+          expected[r / kSub * kColumns + c / kSub] +=
+              bsdf.Evaluate(DirectionAt(z, turns)).pdf *
+              (4 * kPiDouble / (kRows * kSub * kColumns * kSub)) * kSamples;
         }
       }
       for (int i = 0; i < kSamples; ++i) {
@@ -190,7 +192,8 @@ TEST(BsdfTest, SamplesFollowThePdf) {
         ++cells;
       }
       if (pooled_expected > 10) {
-        chi2 += (pooled_count - pooled_expected) * (pooled_count - pooled_expected) / pooled_expected;
+        chi2 +=
+            (pooled_count - pooled_expected) * (pooled_count - pooled_expected) / pooled_expected;
         ++cells;
       }
       // Wilson & Hilferty 1931: the 1 - 10^-6 quantile, z = 4.75.
@@ -224,10 +227,12 @@ TEST(BsdfTest, ReflectionIsReciprocal) {
       for (int i = 0; i < 64; ++i) {
         const SobolSampler sampler(8, i, 0, 0);
         const V2f u = sampler.Get2D(0), v = sampler.Get2D(1);
-        const V3f a = DirectionAt(0.05f + 0.95f * u.x, u.y), b = DirectionAt(0.05f + 0.95f * v.x, v.y);
+        const V3f a = DirectionAt(0.05f + 0.95f * u.x, u.y),
+                  b = DirectionAt(0.05f + 0.95f * v.x, v.y);
         const V3f forward = Bsdf(p, a).Evaluate(b).f_cos * (1 / b.z);
         const V3f backward = Bsdf(p, b).Evaluate(a).f_cos * (1 / a.z);
-        for (int c = 0; c < 3; ++c) EXPECT_NEAR(forward[c], backward[c], 2e-4f * forward[c] + 1e-6f);
+        for (int c = 0; c < 3; ++c)
+          EXPECT_NEAR(forward[c], backward[c], 2e-4f * forward[c] + 1e-6f);
       }
     }
   }

@@ -1,9 +1,9 @@
 #include "worker/integrator/camera_rays.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 #include "tests/worker/integrator/test_scenes.h"
 #include "worker/integrator/portable_math.h"
@@ -37,7 +37,8 @@ TEST(CameraRaysTest, ThinLensMeetsInThePlaneOfFocus) {
   camera.lens_radius = 0;
   const CameraRays pinhole(camera, 64, 64);
   const CameraRay through_centre = pinhole.At(10, 20, {});
-  const V3f focus = through_centre.origin - through_centre.direction * (4 / through_centre.direction.z);
+  const V3f focus =
+      through_centre.origin - through_centre.direction * (4 / through_centre.direction.z);
   for (int i = 0; i < 64; ++i) {
     const CameraRay ray = lens.At(10, 20, SobolSampler(1, i, 0, 0).Get2D(0));
     EXPECT_LE((ray.origin - camera.position).length(), 0.3001f);

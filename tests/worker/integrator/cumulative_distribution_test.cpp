@@ -1,8 +1,8 @@
 #include "worker/integrator/cumulative_distribution.h"
 
-#include <vector>
-
 #include <gtest/gtest.h>
+
+#include <vector>
 
 namespace tessera {
 namespace {
@@ -17,7 +17,8 @@ TEST(CumulativeDistributionTest, EntriesAreChosenByWeightAndZeroNever) {
     ++counts[SampleRunningSums(sums, &u)];
     EXPECT_TRUE(u >= 0 && u < 1);
   }
-  for (size_t i = 0; i < weights.size(); ++i) EXPECT_NEAR(counts[i], weights[i] * kCount / 8, 1) << i;
+  for (size_t i = 0; i < weights.size(); ++i)
+    EXPECT_NEAR(counts[i], weights[i] * kCount / 8, 1) << i;
 }
 
 TEST(CumulativeDistributionTest, EndsOfTheIntervalChooseEntriesOfPositiveWeight) {

@@ -1,10 +1,10 @@
 #include "worker/integrator/embree_scene.h"
 
-#include <cmath>
-#include <memory>
-
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
+
+#include <cmath>
+#include <memory>
 
 #include "tests/worker/integrator/test_scenes.h"
 #include "worker/integrator/ray_offset.h"
@@ -67,8 +67,9 @@ TEST(EmbreeSceneTest, BlendedHitsFollowAlphaAndDependOnTheKeyAlone) {
 
 TEST(EmbreeSceneTest, InstancesAreTransformed) {
   auto scene = std::make_unique<Scene>();
-  const int mesh = AddMesh(
-      Quad(AddMaterial(Lambert(V3f(1)), scene.get()), {-1, -1, 0}, {2, 0, 0}, {0, 2, 0}), scene.get());
+  const int mesh =
+      AddMesh(Quad(AddMaterial(Lambert(V3f(1)), scene.get()), {-1, -1, 0}, {2, 0, 0}, {0, 2, 0}),
+              scene.get());
   Imath::M44f m;
   m.translate(V3f(10, 0, -4));
   AddInstance(mesh, m, scene.get());
@@ -90,7 +91,8 @@ TEST(EmbreeSceneTest, OffsetRaysDoNotMeetTheirOwnSurface) {
     for (float away : {0.f, 10.f, 5000.f}) {
       auto scene = std::make_unique<Scene>();
       const V3f centre(away, -away, 0.5f * away);
-      AddMesh(Sphere(AddMaterial(Lambert(V3f(1)), scene.get()), centre, radius, 32, false), scene.get());
+      AddMesh(Sphere(AddMaterial(Lambert(V3f(1)), scene.get()), centre, radius, 32, false),
+              scene.get());
       const OpenTracer tracer(std::move(scene), 1, 1, 0);
       int met = 0, hits = 0;
       for (int i = 0; i < 2000; ++i) {

@@ -1,9 +1,9 @@
 #include "worker/integrator/environment_sampler.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/sobol_sampler.h"

@@ -16,7 +16,8 @@ int AddChecker(std::array<uint8_t, 3> a, std::array<uint8_t, 3> b, Scene* scene)
   for (int y = 0; y < 8; ++y) {
     for (int x = 0; x < 8; ++x) {
       const auto& colour = (x + y) % 2 == 0 ? a : b;
-      t.rgba.insert(t.rgba.end(), {colour[0], colour[1], colour[2], static_cast<uint8_t>(32 * x + 16)});
+      t.rgba.insert(t.rgba.end(),
+                    {colour[0], colour[1], colour[2], static_cast<uint8_t>(32 * x + 16)});
     }
   }
   scene->textures.push_back(t);
@@ -86,7 +87,9 @@ std::unique_ptr<Scene> CornellBox() {
   AddMesh(Quad(white, {-1, 0, -1}, {2, 0, 0}, {0, 2, 0}), s);
   AddMesh(Quad(red, {-1, 0, -1}, {0, 2, 0}, {0, 0, 2}), s);
   AddMesh(Quad(green, {1, 0, -1}, {0, 0, 2}, {0, 2, 0}), s);
-  AddMesh(Quad(AddMaterial(Emitter(V3f(15, 12, 8)), s), {-0.3f, 1.99f, -0.3f}, {0.6f, 0, 0}, {0, 0, 0.6f}), s);
+  AddMesh(Quad(AddMaterial(Emitter(V3f(15, 12, 8)), s), {-0.3f, 1.99f, -0.3f}, {0.6f, 0, 0},
+               {0, 0, 0.6f}),
+          s);
   Material metal;
   metal.roughness = 0.3f;
   metal.base_color = V4f(0.9f, 0.8f, 0.5f, 1);

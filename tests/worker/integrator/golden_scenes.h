@@ -1,5 +1,5 @@
-// Scenes that together use every part of the path tracer, for tests of equal bits and against stored
-// references; and the moments that those references hold.
+// Scenes that together use every part of the path tracer, for tests of equal bits and against
+// stored references; and the moments that those references hold.
 #pragma once
 
 #include <cstdint>
@@ -27,7 +27,7 @@ std::vector<GoldenScene> GoldenScenes();
 inline constexpr int kGoldenWidth = 8;
 inline constexpr int kGoldenHeight = 6;
 inline constexpr int kGoldenSeeds = 4096;  // behind the stored values
-inline constexpr int64_t kGoldenSpp = 16;   // of each seed
+inline constexpr int64_t kGoldenSpp = 16;  // of each seed
 
 // For each pixel and channel, row-major: mean radiance and its variance, over independent seeds
 // [first_seed, first_seed + seeds) of spp samples each.

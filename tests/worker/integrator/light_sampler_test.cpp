@@ -1,11 +1,11 @@
 #include "worker/integrator/light_sampler.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <map>
 #include <memory>
 #include <utility>
-
-#include <gtest/gtest.h>
 
 #include "tests/worker/integrator/test_scenes.h"
 #include "worker/integrator/portable_math.h"
@@ -86,7 +86,8 @@ TEST(LightSamplerTest, EveryGroupKeepsAShareHoweverWeak) {
   for (int i = 0; i < kCount; ++i) {
     LightSample light;
     const SobolSampler sampler(1, 0, 0, 2 * i);
-    tracer.lights().Sample(V3f(0, 0, 0), V3f(0, 1, 0), sampler.Get2D(0).x, sampler.Get2D(1), &light);
+    tracer.lights().Sample(V3f(0, 0, 0), V3f(0, 1, 0), sampler.Get2D(0).x, sampler.Get2D(1),
+                           &light);
     punctual += light.punctual;
     infinite += light.at_infinity && !light.punctual;
   }
@@ -102,7 +103,8 @@ TEST(LightSamplerTest, HundredsOfLightsSumToTheirIrradiance) {
   double expected = 0;
   for (int i = 0; i < 20; ++i) {
     for (int j = 0; j < 20; ++j) {
-      const float x = 0.3f * static_cast<float>(i - 10) + 0.1f, z = 0.3f * static_cast<float>(j - 10);
+      const float x = 0.3f * static_cast<float>(i - 10) + 0.1f,
+                  z = 0.3f * static_cast<float>(j - 10);
       const float radiance = static_cast<float>(1 + (i * 7 + j * 3) % 10);
       const int m = AddMaterial(Emitter(V3f(radiance)), scene.get());
       AddMesh(Quad(m, {x, 2, z}, {0.02f, 0, 0}, {0, 0, 0.02f}), scene.get());

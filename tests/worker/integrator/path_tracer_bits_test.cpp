@@ -1,10 +1,11 @@
-// The same bits for any window split, partition into nodes, thread count and build thread count (C2).
+// The same bits for any window split, partition into nodes, thread count and build thread count
+// (C2).
+#include <gtest/gtest.h>
+
 #include <atomic>
 #include <memory>
 #include <thread>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 #include "core/base/tile_grid.h"
 #include "tests/worker/integrator/golden_scenes.h"
@@ -62,7 +63,8 @@ TEST(PathTracerBitsTest, AnyWindowAnyPartitionAnyThreadCount) {
         const int64_t size = int64_t{1} << (t % 5);
         std::vector<TileStatistics> parts(kSpp / size);
         for (int64_t i = kSpp / size - 1; i >= 0; --i) {
-          parts[i] = *tracer->Render(grid.WindowOf(t), {i * size, (i + 1) * size}, nullptr, nullptr);
+          parts[i] =
+              *tracer->Render(grid.WindowOf(t), {i * size, (i + 1) * size}, nullptr, nullptr);
         }
         for (size_t step = 1; step < parts.size(); step *= 2) {
           for (size_t i = 0; i < parts.size(); i += 2 * step) parts[i].Merge(parts[i + step]);
@@ -115,7 +117,8 @@ TEST(PathTracerBitsTest, SeedsDiffer) {
 }
 
 TEST(PathTracerBitsTest, StrategiesHaveEqualMeans) {
-  // Lights alone miss nothing here but glass's and alpha's paths to lights, so compare without them.
+  // Lights alone miss nothing here but glass's and alpha's paths to lights, so compare without
+  // them.
   std::array<RadianceMoments, 3> moments;
   const LightStrategy strategies[] = {LightStrategy::kBoth, LightStrategy::kBsdfOnly,
                                       LightStrategy::kLightsOnly};

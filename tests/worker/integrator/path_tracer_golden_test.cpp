@@ -1,11 +1,11 @@
 // A Z-test of every pixel of three small scenes against stored means and variances, which
 // write_golden made (tests/worker/golden/*.txt).
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <fstream>
 #include <string>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 #include "tests/worker/integrator/golden_scenes.h"
 
@@ -43,8 +43,8 @@ TEST_P(PathTracerGoldenTest, MeansAgreeWithTheStoredOnes) {
     const double z = variance > 0 ? difference / std::sqrt(variance) : 0;
     z2_sum += z * z;
     // A normal variate passes 5.2 once in 5 million; there are 432, some skewed.
-    EXPECT_LT(std::fabs(z), 5.2) << scene.name << " value " << v << ": " << now.mean[v] << ", stored "
-                                 << golden.mean[v];
+    EXPECT_LT(std::fabs(z), 5.2) << scene.name << " value " << v << ": " << now.mean[v]
+                                 << ", stored " << golden.mean[v];
   }
   // Mean of 144 z^2, correlated within a pixel: 1 +- about 0.2.
   EXPECT_LT(z2_sum / static_cast<double>(now.mean.size()), 2) << scene.name;

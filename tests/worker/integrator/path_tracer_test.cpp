@@ -1,10 +1,10 @@
 // Radiance against closed forms: what the integrator adds up must be what physics says.
 #include "worker/integrator/path_tracer.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <memory>
-
-#include <gtest/gtest.h>
 
 #include "tests/worker/integrator/test_scenes.h"
 #include "worker/integrator/portable_math.h"
@@ -66,12 +66,14 @@ TEST(PathTracerTest, SpotLightInsideInTheRimAndOutsideItsCone) {
   for (float degrees : {0.f, 25.f, 50.f}) {
     auto scene = Floor(Lambert(V3f(0.5f)));
     const auto tilt = SinCosTurns<double>(degrees / 360);
-    PunctualLight spot = Lamp(LightType::kSpot, {0, 1, 0},
-                              V3f(static_cast<float>(tilt.sin), -static_cast<float>(tilt.cos), 0), 2);
+    PunctualLight spot =
+        Lamp(LightType::kSpot, {0, 1, 0},
+             V3f(static_cast<float>(tilt.sin), -static_cast<float>(tilt.cos), 0), 2);
     spot.inner_cone_cos = static_cast<float>(std::cos(20 * kPiDouble / 180));
     spot.outer_cone_cos = static_cast<float>(std::cos(40 * kPiDouble / 180));
     scene->lights.push_back(spot);
-    const double falloff = (tilt.cos - spot.outer_cone_cos) / (spot.inner_cone_cos - spot.outer_cone_cos);
+    const double falloff =
+        (tilt.cos - spot.outer_cone_cos) / (spot.inner_cone_cos - spot.outer_cone_cos);
     const double clamped = std::min(1.0, std::max(0.0, falloff));
     const double expected = 0.5 / kPiDouble * 2 * clamped * clamped;
     ExpectRadiance(RenderMoments(std::move(scene), Small(0), 16), expected, 3e-3);
@@ -92,8 +94,7 @@ TEST(PathTracerTest, QuadLightHasTheFormFactorOfAParallelRectangle) {
   // F = 1/(2 pi) (x/sqrt(1+x^2) atan(y/sqrt(1+x^2)) + y/sqrt(1+y^2) atan(x/sqrt(1+y^2))), x = a/c.
   const double x = 1.5, y = 0.75;
   const double rx = std::sqrt(1 + x * x), ry = std::sqrt(1 + y * y);
-  const double factor =
-      (x / rx * std::atan(y / rx) + y / ry * std::atan(x / ry)) / (2 * kPiDouble);
+  const double factor = (x / rx * std::atan(y / rx) + y / ry * std::atan(x / ry)) / (2 * kPiDouble);
   for (LightStrategy strategy :
        {LightStrategy::kBoth, LightStrategy::kBsdfOnly, LightStrategy::kLightsOnly}) {
     auto scene = Floor(Lambert(V3f(0.6f)));
@@ -191,7 +192,8 @@ TEST(PathTracerTest, UnlitShowsItsColourAndLightsNothing) {
 }
 
 TEST(PathTracerTest, BeerLambertInsideASmoothSlab) {
-  // Straight through a slab of index 1 (no reflection) of thickness 0.5: L = colour^(0.5 / distance).
+  // Straight through a slab of index 1 (no reflection) of thickness 0.5: L = colour^(0.5 /
+  // distance).
   auto scene = std::make_unique<Scene>();
   Material glass;
   glass.metallic = 0;
@@ -202,8 +204,8 @@ TEST(PathTracerTest, BeerLambertInsideASmoothSlab) {
   glass.attenuation_color = V3f(0.2f, 0.5f, 0.9f);
   glass.attenuation_distance = 0.25f;
   const int m = AddMaterial(glass, scene.get());
-  AddMesh(Quad(m, {-5, 0, -5}, {0, 0, 10}, {10, 0, 0}), scene.get());       // up
-  AddMesh(Quad(m, {-5, -0.5f, -5}, {10, 0, 0}, {0, 0, 10}), scene.get());   // down
+  AddMesh(Quad(m, {-5, 0, -5}, {0, 0, 10}, {10, 0, 0}), scene.get());      // up
+  AddMesh(Quad(m, {-5, -0.5f, -5}, {10, 0, 0}, {0, 0, 10}), scene.get());  // down
   scene->environment.emplace();
   scene->environment->uniform = V3f(1);
   scene->camera = Camera({0, 2, 0}, {0, 0, 0}, 1);

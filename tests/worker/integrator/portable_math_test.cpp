@@ -1,8 +1,8 @@
 #include "worker/integrator/portable_math.h"
 
-#include <cmath>
-
 #include <gtest/gtest.h>
+
+#include <cmath>
 
 #include "worker/integrator/onb.h"
 #include "worker/integrator/ray_offset.h"
@@ -26,7 +26,8 @@ TEST(PortableMathTest, SineAndCosineOfTurns) {
 TEST(PortableMathTest, ArcTangentInAllQuadrants) {
   for (int i = -500; i < 500; ++i) {
     const double angle = kPiDouble * (i + 0.5) / 500;
-    const float y = static_cast<float>(3 * std::sin(angle)), x = static_cast<float>(3 * std::cos(angle));
+    const float y = static_cast<float>(3 * std::sin(angle)),
+                x = static_cast<float>(3 * std::cos(angle));
     EXPECT_NEAR(ArcTan2(y, x), std::atan2(static_cast<double>(y), static_cast<double>(x)), 4e-7);
   }
   EXPECT_EQ(ArcTan2(0, 0), 0);

@@ -1,10 +1,10 @@
 #include "worker/integrator/sobol_sampler.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <cstdint>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 namespace tessera {
 namespace {
@@ -28,7 +28,8 @@ TEST(SobolSamplerTest, EveryAlignedPowerOfTwoOfEachHalfIsANet) {
     for (uint32_t group = 0; group < 6; ++group) {
       for (int k = 0; k <= 8; ++k) {
         EXPECT_TRUE(IsNet(11, x, x & 1, group, 0, k)) << x << " " << group << " " << k;
-        EXPECT_TRUE(IsNet(11, x, x & 1, group, int64_t{3} << k, k)) << x << " " << group << " " << k;
+        EXPECT_TRUE(IsNet(11, x, x & 1, group, int64_t{3} << k, k))
+            << x << " " << group << " " << k;
       }
     }
   }
@@ -56,13 +57,21 @@ TEST(SobolSamplerTest, HalvesPixelsGroupsAndSeedsAreUncorrelated) {
   };
   for (int64_t i = 0; i < 8; ++i) {
     EXPECT_LT(std::fabs(CorrelationZ([&](int x) { return at(1, x, 2 * i, 2); },
-                                     [&](int x) { return at(1, x, 2 * i + 1, 2); })), 4.5) << "halves";
+                                     [&](int x) { return at(1, x, 2 * i + 1, 2); })),
+              4.5)
+        << "halves";
     EXPECT_LT(std::fabs(CorrelationZ([&](int x) { return at(1, x, i, 2); },
-                                     [&](int x) { return at(1, x + 1, i, 2); })), 4.5) << "pixels";
+                                     [&](int x) { return at(1, x + 1, i, 2); })),
+              4.5)
+        << "pixels";
     EXPECT_LT(std::fabs(CorrelationZ([&](int x) { return at(1, x, i, 2); },
-                                     [&](int x) { return at(1, x, i, 3); })), 4.5) << "groups";
+                                     [&](int x) { return at(1, x, i, 3); })),
+              4.5)
+        << "groups";
     EXPECT_LT(std::fabs(CorrelationZ([&](int x) { return at(1, x, i, 2); },
-                                     [&](int x) { return at(2, x, i, 2); })), 4.5) << "seeds";
+                                     [&](int x) { return at(2, x, i, 2); })),
+              4.5)
+        << "seeds";
   }
 }
 
@@ -76,7 +85,8 @@ TEST(SobolSamplerTest, EveryPointIsUniformOverPixels) {
       ++cells[static_cast<int>(p.x * 8) * 8 + static_cast<int>(p.y * 8)];
     }
     double chi2 = 0;
-    for (int count : cells) chi2 += (count - kPixels / 64.0) * (count - kPixels / 64.0) / (kPixels / 64.0);
+    for (int count : cells)
+      chi2 += (count - kPixels / 64.0) * (count - kPixels / 64.0) / (kPixels / 64.0);
     EXPECT_LT(chi2, 124) << i;
   }
 }

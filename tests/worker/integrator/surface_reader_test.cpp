@@ -1,9 +1,9 @@
 #include "worker/integrator/surface_reader.h"
 
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <memory>
-
-#include <gtest/gtest.h>
 
 #include "tests/worker/integrator/test_scenes.h"
 
@@ -33,8 +33,8 @@ TEST(SurfaceReaderTest, InstancedAndBakedMeshesGiveTheSameSurface) {
   std::unique_ptr<OpenTracer> tracers[2];
   for (int instanced = 0; instanced < 2; ++instanced) {
     auto scene = std::make_unique<Scene>();
-    const int mesh =
-        AddMesh(Sphere(AddMaterial(Lambert(V3f(1)), scene.get()), {0, 0, 0}, 1, 24, true), scene.get(), m);
+    const int mesh = AddMesh(
+        Sphere(AddMaterial(Lambert(V3f(1)), scene.get()), {0, 0, 0}, 1, 24, true), scene.get(), m);
     Imath::M44f away;
     away.translate(V3f(100, 0, 0));
     if (instanced) AddInstance(mesh, away, scene.get());
@@ -80,12 +80,17 @@ TEST(SurfaceReaderTest, NormalMapTiltsAlongTextureAxes) {
     AddMesh(quad, scene.get());
     scene->materials[m].normal_texture.texture = AddTexture({255, 128, 255, 255}, scene.get());
     const OpenTracer red(std::make_unique<Scene>(*scene), 1, 1, 0);
-    EXPECT_NEAR((ReadAlong(red, {0, 1, 0}, {0, -1, 0}).shading_normal - V3f(0, 1, 1).normalized()).length(),
-                0, 0.01) << with_tangents;
+    EXPECT_NEAR(
+        (ReadAlong(red, {0, 1, 0}, {0, -1, 0}).shading_normal - V3f(0, 1, 1).normalized()).length(),
+        0, 0.01)
+        << with_tangents;
     scene->materials[m].normal_texture.texture = AddTexture({128, 255, 255, 255}, scene.get());
     const OpenTracer green(std::make_unique<Scene>(*scene), 1, 1, 0);
-    EXPECT_NEAR((ReadAlong(green, {0, 1, 0}, {0, -1, 0}).shading_normal - V3f(-1, 1, 0).normalized()).length(),
-                0, 0.01) << with_tangents;
+    EXPECT_NEAR(
+        (ReadAlong(green, {0, 1, 0}, {0, -1, 0}).shading_normal - V3f(-1, 1, 0).normalized())
+            .length(),
+        0, 0.01)
+        << with_tangents;
     scene->materials[m].normal_scale = 0;
     const OpenTracer flat(std::make_unique<Scene>(*scene), 1, 1, 0);
     EXPECT_NEAR(ReadAlong(flat, {0, 1, 0}, {0, -1, 0}).shading_normal.y, 1, 1e-5);

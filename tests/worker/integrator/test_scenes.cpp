@@ -107,7 +107,8 @@ RadianceMoments MomentsOf(const TileStatistics& tile) {
   for (int c = 0; c < 3; ++c) {
     double sum = 0, sum2 = 0;
     for (int64_t p = 0; p < tile.num_pixels(); ++p) {
-      const double a = tile.Floats(0, kRadianceMean + c)[p], b = tile.Floats(1, kRadianceMean + c)[p];
+      const double a = tile.Floats(0, kRadianceMean + c)[p],
+                   b = tile.Floats(1, kRadianceMean + c)[p];
       const double mean = (a * n_a + b * n_b) / (n_a + n_b);
       sum += mean;
       sum2 += mean * mean;
@@ -119,7 +120,8 @@ RadianceMoments MomentsOf(const TileStatistics& tile) {
   return moments;
 }
 
-TileStatistics RenderAll(std::unique_ptr<Scene> scene, const RenderSettings& settings, int64_t spp) {
+TileStatistics RenderAll(std::unique_ptr<Scene> scene, const RenderSettings& settings,
+                         int64_t spp) {
   const auto tracer = OrDie(PathTracer::Create(std::move(scene), settings));
   const PixelRect frame = PixelRect::FromSize(0, 0, settings.width, settings.height);
   return OrDie(tracer->Render(frame, {0, spp}, nullptr, nullptr));
@@ -132,10 +134,14 @@ RadianceMoments RenderMoments(std::unique_ptr<Scene> scene, const RenderSettings
 
 OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int max_depth,
                        LightStrategy strategy)
-    : width_(width), height_(height), scene_(std::move(scene)), geometries_(PlaceInstances(scene_.get())) {
+    : width_(width),
+      height_(height),
+      scene_(std::move(scene)),
+      geometries_(PlaceInstances(scene_.get())) {
   surfaces_ = std::make_unique<SurfaceReader>(*scene_, geometries_);
   embree_ = OrDie(EmbreeScene::Create(scene_.get(), *surfaces_, "x86-64-v3", 1));
-  if (scene_->environment) environment_ = std::make_unique<EnvironmentSampler>(*scene_->environment);
+  if (scene_->environment)
+    environment_ = std::make_unique<EnvironmentSampler>(*scene_->environment);
   const Imath::Box3f bounds = embree_->bounds();
   lights_ = std::make_unique<LightSampler>(*scene_, *surfaces_, environment_.get(),
                                            bounds.isEmpty() ? 1.f : 0.5f * bounds.size().length());

@@ -1,8 +1,8 @@
 #include "worker/integrator/texture_lookup.h"
 
-#include <cmath>
-
 #include <gtest/gtest.h>
+
+#include <cmath>
 
 namespace tessera {
 namespace {
