@@ -48,7 +48,7 @@ std::string PercentDecode(std::string_view uri) {
 absl::StatusOr<std::string> AssetNameFromUri(std::string_view uri) {
   if (HasScheme(uri)) {
     return absl::InvalidArgumentError(
-        "is no file beside the scene, and nothing is downloaded: put the file there and name it "
+        "is not a file beside the scene, and nothing is downloaded: put it there and name it "
         "relatively");
   }
   std::string decoded = PercentDecode(uri);

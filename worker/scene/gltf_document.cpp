@@ -8,6 +8,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/asset_name.h"
 #include "worker/scene/glb_container.h"
 #include "worker/scene/meshopt_buffers.h"
 #include "worker/scene/status_macros.h"
@@ -186,11 +187,12 @@ absl::StatusOr<std::shared_ptr<const std::string>> GltfDocument::ReadUri(
     if (!bytes.ok()) return at_owner(bytes.status());
     return std::make_shared<const std::string>(*std::move(bytes));
   }
-  if (uri.empty() || uri.find("://") != std::string::npos) {
-    return at_owner(absl::InvalidArgumentError(absl::StrCat(
-        "\"", uri, "\" is not a file beside the scene; download it and name it there")));
+  const absl::StatusOr<std::string> name = AssetNameFromUri(uri);
+  if (!name.ok()) {
+    return at_owner(
+        absl::InvalidArgumentError(absl::StrCat("\"", uri, "\" ", name.status().message())));
   }
-  auto bytes = read_asset_(PercentDecode(uri));
+  auto bytes = read_asset_(*name);
   if (!bytes.ok()) return at_owner(bytes.status());
   return bytes;
 }
