@@ -34,7 +34,7 @@ def veach_mis():
         scene.add(f"plate {i}", shapes.panel(centre, centre + normal, 8.0, 1.0), plate)
     scene.add("floor", shapes.quad((-12, -4.6, 12), (24, 0, 0), (0, 0, -14)), gray)
     scene.add("back wall", shapes.quad((-12, -4.6, -2), (24, 0, 0), (0, 14, 0)), gray)
-    lamp = scene.material("lamp", (0, 0, 0), emission=(140.0, 140.0, 140.0))
+    lamp = scene.material("lamp", (0, 0, 0), emission=(260.0, 260.0, 260.0))
     scene.add("lamp", shapes.sphere(0.5, 24, 12), lamp, at=(9, 10, 5))
     scene.camera("camera", tuple(eye), (0, -1.9, 2.2), 26.0, aspect=1.5)
     return scene

@@ -18,13 +18,16 @@ def cornell():
     red = scene.material("red", (0.63, 0.06, 0.05), roughness=1.0)
     green = scene.material("green", (0.12, 0.45, 0.09), roughness=1.0)
     light = scene.material("light", (0, 0, 0), emission=(18.0, 13.0, 6.5))
-    s = 5.5
+    s, x0, x1, z0, z1 = 5.5, 2.1, 3.4, -3.3, -2.2  # the room, and the light in its ceiling
     scene.add("floor", shapes.quad((0, 0, 0), (s, 0, 0), (0, 0, -s)), white)
-    scene.add("ceiling", shapes.quad((0, s, -s), (s, 0, 0), (0, 0, s)), white)
+    scene.add("ceiling", shapes.merge([
+        shapes.quad((xa, s, za), (xb - xa, 0, 0), (0, 0, zb - za))
+        for xa, xb, za, zb in ((0, s, -s, z0), (0, s, z1, 0), (0, x0, z0, z1), (x1, s, z0, z1))]),
+              white)
     scene.add("back wall", shapes.quad((0, 0, -s), (s, 0, 0), (0, s, 0)), white)
     scene.add("left wall", shapes.quad((0, 0, 0), (0, 0, -s), (0, s, 0)), red)
     scene.add("right wall", shapes.quad((s, 0, -s), (0, 0, s), (0, s, 0)), green)
-    scene.add("light", shapes.quad((2.1, s - 0.01, -3.3), (1.3, 0, 0), (0, 0, 1.1)), light)
+    scene.add("light", shapes.quad((x0, s, z0), (x1 - x0, 0, 0), (0, 0, z1 - z0)), light)
     scene.add("short block", _cuboid_on_floor(1.65, 1.65, 1.65), white, at=(3.7, 0, -1.7),
               turn_y=-17)
     scene.add("tall block", _cuboid_on_floor(1.65, 3.3, 1.65), white, at=(1.85, 0, -3.5), turn_y=17)
@@ -117,7 +120,7 @@ def window_room():
               ((-x - t, -t, z), (x + t, y, z + t)), ((x, -t, -z), (x + t, y, z)),
               ((-x - t, -t, -z), (x + t, -0.01, z))]
     scene.add("walls", shapes.merge([shapes.box(*s) for s in solids]), plaster)
-    windows = [(-2.1, -0.7, 0.85, 2.25), (0.1, 1.5, 0.85, 2.25)]
+    windows = [(-2.6, -0.5, 0.45, 2.4), (0.0, 2.1, 0.45, 2.4)]
     scene.add("window wall", _wall_with_windows(-x, t, (-z, z), y, windows), plaster)
     for i, window in enumerate(windows):
         scene.add(f"window {i}", _window_frame(-x - 0.1, window), paint)

@@ -21,7 +21,8 @@ def _materials(scene):
         "table": make("table", (1, 1, 1), roughness=1.0, color_texture=wood,
                       roughness_texture=wood_roughness),
         "wall": make("wall", (1, 1, 1), roughness=0.95,
-                     color_texture=scene.texture("plaster", textures.plaster())),
+                     color_texture=scene.texture("plaster", textures.plaster(
+                         low=(0.40, 0.46, 0.47), high=(0.60, 0.64, 0.62)))),
         "cloth": make("cloth", (1, 1, 1), roughness=0.9, double_sided=True,
                       color_texture=scene.texture("gingham", textures.gingham())),
         "orange": make("orange", (1, 1, 1), roughness=0.42, normal_texture=pores,
@@ -34,8 +35,8 @@ def _materials(scene):
         "stem": make("stem", (0.16, 0.10, 0.045), roughness=0.8),
         "glaze": make("glaze", (0.035, 0.15, 0.20), roughness=0.10),
         "brass": make("brass", (0.86, 0.62, 0.28), metallic=1.0, roughness=0.22),
-        "copper": make("copper", (0.93, 0.52, 0.37), metallic=1.0, roughness=0.30),
-        "steel": make("steel", (0.75, 0.75, 0.76), metallic=1.0, roughness=0.05),
+        "copper": make("copper", (0.93, 0.52, 0.37), metallic=1.0, roughness=0.36),
+        "steel": make("steel", (0.75, 0.75, 0.76), metallic=1.0, roughness=0.08),
         "glass": make("glass", (1, 1, 1), roughness=0.0, transmission=1.0, ior=1.5,
                       thickness=0.01),
         "bottle": make("bottle glass", (1, 1, 1), roughness=0.0, transmission=1.0, ior=1.52,
@@ -43,9 +44,9 @@ def _materials(scene):
         "wax": make("wax", (0.88, 0.82, 0.68), roughness=0.5),
         "wick": make("wick", (0.02, 0.02, 0.02), roughness=1.0),
         "paper": make("paper", (0.85, 0.80, 0.68), roughness=0.9),
-        "flame": make("flame", (0, 0, 0), emission=(26.0, 11.0, 2.6)),
-        "key": make("key light", (0, 0, 0), emission=(33.0, 26.5, 18.5)),
-        "fill": make("fill light", (0, 0, 0), emission=(1.05, 1.30, 1.75)),
+        "flame": make("flame", (0, 0, 0), emission=(10.0, 4.6, 1.2)),
+        "key": make("key light", (0, 0, 0), emission=(52.0, 41.0, 27.5)),
+        "fill": make("fill light", (0, 0, 0), emission=(1.35, 1.65, 2.2)),
     }
 
 
@@ -55,7 +56,7 @@ def _stage(scene, m):
     scene.add("wall", wall, m["wall"])
     scene.add("key light", shapes.panel((-1.35, 1.25, 0.75), (0, 0.05, 0), 0.62, 0.62), m["key"])
     scene.add("fill light", shapes.panel((1.25, 1.55, 0.9), (0, 0.1, 0), 1.7, 1.5), m["fill"])
-    scene.camera("camera", (0.10, 0.43, 1.32), (0.015, 0.105, 0.0), 26.5)
+    scene.camera("camera", (0.10, 0.42, 1.30), (0.022, 0.100, 0.0), 25.0)
 
 
 def _table_top():
