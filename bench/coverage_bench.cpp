@@ -136,15 +136,17 @@ absl::Status Measure(const Options& options, const FramePlanes& reference, int64
     }
   }
   // The true standard deviation of a pixel from its seeds; their mean's error is part of neither.
+  // The root of an unbiased variance is too small on average, for normal errors by this factor.
   double true_width = 0;
   const double n = options.seeds;
+  const double bias = std::sqrt(2 / (n - 1)) * std::tgamma(n / 2) / std::tgamma((n - 1) / 2);
   for (size_t i = 0; i < sum.size(); ++i) {
     true_width += n * std::sqrt(std::fmax(0, (sum_of_squares[i] - sum[i] * sum[i] / n) / (n - 1)));
   }
   std::printf("%6lld", static_cast<long long>(spp));
   for (const Tally& tally : {calibrated, equal, own}) {
     std::printf("   %6.2f %% x %5.2f", 100 * tally.covered / tally.intervals,
-                tally.width / true_width);
+                tally.width * bias / true_width);
   }
   std::printf("\n");
   return absl::OkStatus();

@@ -16,7 +16,7 @@ namespace tessera {
 
 // Nodes of one tile that may wait for a sibling. A tile complete up to some sample needs at most 31
 // (one for each bit of the count); the rest bounds how far leases may run ahead.
-inline constexpr int64_t kWaitingNodesMax = 4096;
+inline constexpr int64_t kWaitingNodesMax = 256;
 
 class Film {
  public:
