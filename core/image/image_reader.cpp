@@ -1,9 +1,10 @@
 #include "core/image/image_reader.h"
 
+#include <half.h>
+
 #include <algorithm>
 #include <cstddef>
 #include <cstring>
-#include <utility>
 #include <vector>
 
 #include "absl/strings/match.h"
@@ -13,44 +14,61 @@
 namespace tessera {
 namespace {
 
-// Reads channel `index` of `input`, whatever its type.
-bool ReadChannel(OIIO::ImageInput* input, int index, bool is_uint, ImageChannel* channel) {
-  const OIIO::ImageSpec& spec = input->spec();
-  const size_t num_pixels = static_cast<size_t>(spec.width) * static_cast<size_t>(spec.height);
-  channel->name = spec.channel_name(index);
-  channel->is_uint = is_uint;
-  if (is_uint) {
-    channel->uints.resize(num_pixels);
-    return input->read_image(0, 0, index, index + 1, OIIO::TypeDesc::UINT, channel->uints.data());
+// The value of `type`, half or float, at `bytes`.
+float FloatAt(const std::byte* bytes, OIIO::TypeDesc type) {
+  if (type == OIIO::TypeDesc::HALF) {
+    uint16_t bits;
+    std::memcpy(&bits, bytes, sizeof bits);
+    return imath_half_to_float(bits);
   }
-  channel->floats.resize(num_pixels);
-  return input->read_image(0, 0, index, index + 1, OIIO::TypeDesc::FLOAT, channel->floats.data());
+  float value;
+  std::memcpy(&value, bytes, sizeof value);
+  return value;
 }
 
-// Reads all channels at once, each keeping its type.
-bool ReadChannels(OIIO::ImageInput* input, Image* image) {
+// Reads an EXR's channels, each of its own type.
+bool ReadMixedChannels(OIIO::ImageInput* input, Image* image) {
   const OIIO::ImageSpec& spec = input->spec();
-  const int num_channels = spec.nchannels;
-  std::vector<bool> is_uint(num_channels);
-  bool any_uint = false;
-  for (int c = 0; c < num_channels; ++c) {
-    is_uint[c] = spec.channelformat(c) == OIIO::TypeDesc::UINT;
-    any_uint = any_uint || is_uint[c];
+  const size_t num_pixels = static_cast<size_t>(image->data_window.area());
+  const size_t pixel_bytes = spec.pixel_bytes(true);
+  std::vector<std::byte> bytes(num_pixels * pixel_bytes);
+  if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::UNKNOWN, bytes.data())) {
+    return false;
   }
-  image->channels.resize(num_channels);
-  if (any_uint) {
-    for (int c = 0; c < num_channels; ++c) {
-      if (!ReadChannel(input, c, is_uint[c], &image->channels[c])) return false;
+  size_t offset = 0;
+  for (int c = 0; c < spec.nchannels; ++c) {
+    const OIIO::TypeDesc type = spec.channelformat(c);
+    ImageChannel& channel = image->channels[c];
+    channel.name = spec.channel_name(c);
+    channel.is_uint = type == OIIO::TypeDesc::UINT;
+    if (channel.is_uint) {
+      channel.uints.resize(num_pixels);
+    } else {
+      channel.floats.resize(num_pixels);
     }
-    return true;
+    for (size_t i = 0; i < num_pixels; ++i) {
+      const std::byte* value = &bytes[i * pixel_bytes + offset];
+      if (channel.is_uint) {
+        std::memcpy(&channel.uints[i], value, sizeof(uint32_t));
+      } else {
+        channel.floats[i] = FloatAt(value, type);
+      }
+    }
+    offset += type.size();
   }
+  return true;
+}
+
+// Reads all channels, converted to float.
+bool ReadFloatChannels(OIIO::ImageInput* input, Image* image) {
+  const int num_channels = input->spec().nchannels;
   const int64_t num_pixels = image->data_window.area();
   std::vector<float> pixels(static_cast<size_t>(num_pixels * num_channels));
   if (!input->read_image(0, 0, 0, num_channels, OIIO::TypeDesc::FLOAT, pixels.data())) {
     return false;
   }
   for (int c = 0; c < num_channels; ++c) {
-    image->channels[c].name = spec.channel_name(c);
+    image->channels[c].name = input->spec().channel_name(c);
     image->channels[c].floats.resize(static_cast<size_t>(num_pixels));
     for (int64_t i = 0; i < num_pixels; ++i) {
       image->channels[c].floats[i] = pixels[static_cast<size_t>(i * num_channels + c)];
@@ -88,7 +106,10 @@ absl::StatusOr<Image> ReadImage(const std::string& path, const ImageReadLimits& 
   image.data_window = DataWindow(spec);
   image.display_window = DisplayWindow(spec);
   image.metadata = ReadMetadata(spec);
-  if (!ReadChannels(opened->input.get(), &image)) {
+  image.channels.resize(static_cast<size_t>(spec.nchannels));
+  const bool ok = opened->format == "openexr" ? ReadMixedChannels(opened->input.get(), &image)
+                                              : ReadFloatChannels(opened->input.get(), &image);
+  if (!ok) {
     return DamagedImage(path, opened->input->geterror());
   }
   if (opened->format == "png") Linearise(&image);

@@ -1,8 +1,12 @@
 // Unreadable, truncated, damaged and oversized images: clear errors, no crash.
 #include "core/image/image_reader.h"
 
+#include <OpenImageIO/imageio.h>
+
+#include <memory>
 #include <random>
 
+#include "absl/strings/str_cat.h"
 #include "core/image/exr_writer.h"
 #include "core/image/png_writer.h"
 #include "gmock/gmock.h"
@@ -12,6 +16,7 @@
 namespace tessera {
 namespace {
 
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 
 using ImageReaderTest = TempFolderTest;
@@ -38,10 +43,11 @@ TEST_F(ImageReaderTest, TruncatedFilesAreRefusedAtEveryLength) {
   Image color = MixedImage(40, 40);
   ASSERT_TRUE(WritePng(Path("whole.png"), color, {}).ok());
   for (const std::string extension : {".exr", ".png"}) {
-    const std::string bytes = ReadBytes("whole" + extension);
+    const std::string bytes = ReadBytes(absl::StrCat("whole", extension));
+    const std::string cut = absl::StrCat("cut", extension);
     for (int eighths = 1; eighths < 8; ++eighths) {
-      WriteBytes("cut" + extension, bytes.substr(0, bytes.size() * eighths / 8));
-      EXPECT_FALSE(ReadImage(Path("cut" + extension)).ok()) << extension << " " << eighths;
+      WriteBytes(cut, bytes.substr(0, bytes.size() * eighths / 8));
+      EXPECT_FALSE(ReadImage(Path(cut)).ok()) << extension << " " << eighths;
     }
   }
 }
@@ -63,6 +69,25 @@ TEST_F(ImageReaderTest, DamagedFilesDoNotCrash) {
       EXPECT_THAT(std::string(image.status().message()), HasSubstr("damaged"));
     }
   }
+}
+
+// Half floats, as other renderers write them, beside integers.
+TEST_F(ImageReaderTest, HalfFloatsBecomeFloats) {
+  const OIIO::TypeDesc half(OIIO::TypeDesc::HALF), uint(OIIO::TypeDesc::UINT);
+  const OIIO::TypeDesc native(OIIO::TypeDesc::UNKNOWN);
+  OIIO::ImageSpec spec(2, 1, 2, half);
+  spec.channelnames = {"R", "id"};
+  spec.channelformats = {half, uint};
+  // 1.5 and the greatest half, 65504; then 7 and the greatest integer.
+  const unsigned char pixels[] = {0x00, 0x3e, 7, 0, 0, 0, 0xff, 0x7b, 255, 255, 255, 255};
+  const std::unique_ptr<OIIO::ImageOutput> output = OIIO::ImageOutput::create("openexr");
+  ASSERT_TRUE(output->open(Path("half.exr"), spec));
+  ASSERT_TRUE(output->write_image(native, pixels));
+  ASSERT_TRUE(output->close());
+  const absl::StatusOr<Image> image = ReadImage(Path("half.exr"));
+  ASSERT_TRUE(image.ok()) << image.status();
+  EXPECT_THAT(image->Find("R")->floats, ElementsAre(1.5f, 65504.0f));
+  EXPECT_THAT(image->Find("id")->uints, ElementsAre(7u, 0xffffffffu));
 }
 
 TEST_F(ImageReaderTest, SizeLimitsAreStated) {
