@@ -201,7 +201,8 @@ absl::Status CheckVersion(const std::string& path, const Metadata& metadata) {
     return absl::FailedPreconditionError(
         absl::StrCat(path, ": the image holds no film; write one with --layers film"));
   }
-  if (found->second != MetadataValue(kVersion)) {
+  const int64_t* version = std::get_if<int64_t>(&found->second);
+  if (version == nullptr || *version != kVersion) {
     return absl::FailedPreconditionError(absl::StrCat(
         path, ": a film of another version of the program; read it with that version"));
   }

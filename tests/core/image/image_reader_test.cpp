@@ -77,7 +77,8 @@ TEST_F(ImageReaderTest, HalfFloatsBecomeFloats) {
   const OIIO::TypeDesc native(OIIO::TypeDesc::UNKNOWN);
   OIIO::ImageSpec spec(2, 1, 2, half);
   spec.channelnames = {"R", "id"};
-  spec.channelformats = {half, uint};
+  spec.channelformats.push_back(half);
+  spec.channelformats.push_back(uint);
   // 1.5 and the greatest half, 65504; then 7 and the greatest integer.
   const unsigned char pixels[] = {0x00, 0x3e, 7, 0, 0, 0, 0xff, 0x7b, 255, 255, 255, 255};
   const std::unique_ptr<OIIO::ImageOutput> output = OIIO::ImageOutput::create("openexr");
