@@ -9,20 +9,39 @@
 
 namespace tessera {
 
-// Samples entries proportionally to weights from their running sums (n + 1 values, the first 0, the
-// last 1). Returns the entry and replaces *u by its position inside the entry, in [0, 1).
-inline int SampleRunningSums(std::span<const float> sums, float* u) {
-  const int n = static_cast<int>(sums.size()) - 1;
-  int first = 0;
-  for (int left = n; left > 1;) {
-    const int step = left >> 1;
+// Samples one of the entries [first, first + count) proportionally to weights from the running sums
+// of all (n + 1 values, the first 0, the last 1); *u must fall among them. Returns the entry and
+// replaces *u by its position inside the entry, in [0, 1).
+inline int SampleRunningSums(std::span<const float> sums, int first, int count, float* u) {
+  while (count > 1) {
+    const int step = count >> 1;
     // The last entry whose running sum is at or below *u; entries of zero width are passed over.
     if (sums[first + step] <= *u) first += step;
-    left -= step;
+    count -= step;
   }
   const float width = sums[first + 1] - sums[first];
   *u = width > 0 ? std::min((*u - sums[first]) / width, 0x1.fffffep-1f) : 0.f;
   return first;
+}
+
+inline int SampleRunningSums(std::span<const float> sums, float* u) {
+  return SampleRunningSums(sums, 0, static_cast<int>(sums.size()) - 1, u);
+}
+
+// A guide to running sums (Chen & Asau 1974): the entries into which k / num_guides falls,
+// k = 0 ... num_guides. num_guides is a power of two, so that u * num_guides is exact.
+inline void AppendGuide(std::span<const float> sums, int num_guides, std::vector<uint32_t>* guide) {
+  for (int k = 0; k <= num_guides; ++k) {
+    float u = std::min(static_cast<float>(k) / static_cast<float>(num_guides), 0x1.fffffep-1f);
+    guide->push_back(static_cast<uint32_t>(SampleRunningSums(sums, &u)));
+  }
+}
+
+// SampleRunningSums, with fewer steps; `guide` is what AppendGuide appended.
+inline int SampleGuided(std::span<const float> sums, std::span<const uint32_t> guide, float* u) {
+  const size_t k = static_cast<size_t>(*u * static_cast<float>(guide.size() - 1));
+  const int first = static_cast<int>(guide[k]), last = static_cast<int>(guide[k + 1]);
+  return SampleRunningSums(sums, first, last - first + 1, u);
 }
 
 // Writes the running sums of `weights` (all >= 0) divided by their total, summed in double.

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <span>
 
 #include "worker/integrator/cumulative_distribution.h"
 #include "worker/integrator/onb.h"
@@ -15,11 +14,15 @@ float FinitePositive(float x) { return x > 0 && x < 3e38f ? x : 0.f; }
 
 }  // namespace
 
-EnvironmentSampler::EnvironmentSampler(const EnvironmentLight& light)
-    : light_(light), uniform_(light.texels.empty()) {
+EnvironmentSampler::EnvironmentSampler(EnvironmentLight* mutable_light)
+    : light_(*mutable_light), uniform_(light_.texels.empty()) {
+  const EnvironmentLight& light = light_;
   if (uniform_) {
     irradiance_ = 4 * kPiDouble * Luminance(light.uniform);
     return;
+  }
+  for (V3f& t : mutable_light->texels) {
+    t = {FinitePositive(t.x), FinitePositive(t.y), FinitePositive(t.z)};
   }
   const SinCos<double> rotate = SinCosTurns<double>(light.rotate_radians / (2 * kPiDouble));
   rotate_sin_ = static_cast<float>(rotate.sin);
@@ -47,15 +50,12 @@ EnvironmentSampler::EnvironmentSampler(const EnvironmentLight& light)
     }
     const std::vector<float> sums = RunningSums(columns);
     column_sums_.insert(column_sums_.end(), sums.begin(), sums.end());
+    AppendGuide(sums, kGuides, &column_guides_);
     rows[y] = row_sum * (row_cosines_[y] - row_cosines_[y + 1]) * (2 * kPiDouble / width);
     irradiance_ += rows[y];
   }
   row_sums_ = RunningSums(rows);
-}
-
-V3f EnvironmentSampler::Texel(int x, int y) const {
-  const V3f& t = light_.texels[static_cast<size_t>(y) * light_.width + x];
-  return {FinitePositive(t.x), FinitePositive(t.y), FinitePositive(t.z)};
+  AppendGuide(row_sums_, kGuides, &row_guide_);
 }
 
 V2f EnvironmentSampler::UvOfDirection(const V3f& d) const {
@@ -88,10 +88,10 @@ DirectionSample EnvironmentSampler::Sample(const V3f& normal, const V2f& u) cons
     return {Onb(normal).ToWorld(local), cosine * kInvPiFloat};
   }
   float uy = u.y, ux = u.x;
-  const int y = SampleRunningSums(row_sums_, &uy);
-  const std::span<const float> columns(&column_sums_[size_t(y) * (light_.width + 1)],
-                                       light_.width + 1);
-  const int x = SampleRunningSums(columns, &ux);
+  const int y = SampleGuided(row_sums_, row_guide_, &uy);
+  const std::span<const float> columns = ColumnSums(y);
+  const size_t guide = static_cast<size_t>(y) * (kGuides + 1);
+  const int x = SampleGuided(columns, {&column_guides_[guide], kGuides + 1}, &ux);
   // Uniform in solid angle inside the texel.
   const float cosine = row_cosines_[y] + (row_cosines_[y + 1] - row_cosines_[y]) * uy;
   const float sine = std::sqrt(Clamp01(1 - cosine * cosine));
@@ -109,7 +109,7 @@ float EnvironmentSampler::Pdf(const V3f& normal, const V3f& direction) const {
   const V2f uv = UvOfDirection(direction);
   const int x = std::min(static_cast<int>(uv.x * light_.width), light_.width - 1);
   const int y = std::min(static_cast<int>(uv.y * light_.height), light_.height - 1);
-  const float* columns = &column_sums_[size_t(y) * (light_.width + 1)];
+  const std::span<const float> columns = ColumnSums(y);
   const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPiFloat / light_.width;
   return (row_sums_[y + 1] - row_sums_[y]) * (columns[x + 1] - columns[x]) / solid_angle;
 }

@@ -5,7 +5,8 @@
 
 #include <Imath/ImathVec.h>
 
-#include <optional>
+#include <cstdint>
+#include <span>
 #include <vector>
 
 #include "worker/scene/scene.h"
@@ -19,8 +20,8 @@ struct DirectionSample {
 
 class EnvironmentSampler {
  public:
-  // Borrows `light` for its lifetime. Texels that are negative or not finite count as zero.
-  explicit EnvironmentSampler(const EnvironmentLight& light);
+  // Borrows `light` for its lifetime; makes its texels that are negative or not finite zero.
+  explicit EnvironmentSampler(EnvironmentLight* light);
 
   V3f Radiance(const V3f& direction) const;
   // Whether there is anything but black.
@@ -36,7 +37,15 @@ class EnvironmentSampler {
  private:
   // Position in the map: u to the right and v down, both [0, 1].
   V2f UvOfDirection(const V3f& direction) const;
-  V3f Texel(int x, int y) const;
+  const V3f& Texel(int x, int y) const {
+    return light_.texels[static_cast<size_t>(y) * light_.width + x];
+  }
+  std::span<const float> ColumnSums(int row) const {
+    return {&column_sums_[static_cast<size_t>(row) * (light_.width + 1)],
+            static_cast<size_t>(light_.width) + 1};
+  }
+
+  static constexpr int kGuides = 64;
 
   const EnvironmentLight& light_;
   bool uniform_;
@@ -44,7 +53,9 @@ class EnvironmentSampler {
   double irradiance_ = 0;
   std::vector<float> row_sums_;     // height + 1 running sums of the rows
   std::vector<float> column_sums_;  // height x (width + 1), of the texels of a row
-  std::vector<float> row_cosines_;  // height + 1: y of the rows' edges, 1 at the top
+  std::vector<uint32_t> row_guide_;
+  std::vector<uint32_t> column_guides_;  // height x (kGuides + 1)
+  std::vector<float> row_cosines_;       // height + 1: y of the rows' edges, 1 at the top
 };
 
 }  // namespace tessera

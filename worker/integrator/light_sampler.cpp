@@ -13,6 +13,8 @@ namespace {
 // Lights whose powers cannot be compared well, because the environment's and the sun's estimates
 // know nothing of walls, share the choice with at least this probability each.
 constexpr double kGroupShareMin = 0.25;
+// Of the guide to the lights' running sums: 4 KB.
+constexpr int kGuides = 1024;
 enum Group { kEnvironmentGroup, kDirectionalGroup, kLocalGroup, kNumGroups };
 
 double PunctualPower(const PunctualLight& light, float scene_radius) {
@@ -64,6 +66,7 @@ LightSampler::LightSampler(const Scene& scene, const SurfaceReader& surfaces,
     weights.push_back(c.power > 0 ? share[c.group] * c.power / group_power[c.group] : 0);
   }
   running_sums_ = RunningSums(weights);
+  AppendGuide(running_sums_, kGuides, &guide_);
 }
 
 std::vector<LightSampler::Candidate> LightSampler::CollectCandidates(const Scene& scene,
@@ -110,7 +113,7 @@ double LightSampler::TrianglePower(uint32_t instance, uint32_t triangle, float p
 
 bool LightSampler::Sample(const V3f& receiver, const V3f& receiver_normal, float u_choice,
                           const V2f& u, LightSample* sample) const {
-  const int chosen = SampleRunningSums(running_sums_, &u_choice);
+  const int chosen = SampleGuided(running_sums_, guide_, &u_choice);
   const Entry& entry = entries_[chosen];
   const float probability = ChoiceProbability(chosen);
   bool lit = false;

@@ -72,6 +72,7 @@ class LightSampler {
   bool extended_ = false;
   std::vector<Entry> entries_;
   std::vector<float> running_sums_;      // of the choice's probabilities
+  std::vector<uint32_t> guide_;          // to them
   std::vector<int64_t> first_triangle_;  // by instance: entry of its triangle 0; -1 = does not emit
 };
 

@@ -40,7 +40,7 @@ absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<S
   if (!embree.ok()) return embree.status();
   impl->embree = *std::move(embree);
   if (s->environment.has_value()) {
-    impl->environment = std::make_unique<EnvironmentSampler>(*s->environment);
+    impl->environment = std::make_unique<EnvironmentSampler>(&*s->environment);
   }
   const Imath::Box3f bounds = impl->embree->bounds();
   const float radius = bounds.isEmpty() ? 1.f : 0.5f * bounds.size().length();

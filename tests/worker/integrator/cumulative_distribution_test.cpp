@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <vector>
 
 namespace tessera {
@@ -33,6 +34,25 @@ TEST(CumulativeDistributionTest, TheRemainderIsThePositionInsideTheEntry) {
   float u = 0.75f;
   EXPECT_EQ(SampleRunningSums(sums, &u), 1);
   EXPECT_EQ(u, 0.5f);
+}
+
+TEST(CumulativeDistributionTest, AGuideChangesNoChoice) {
+  for (int n : {1, 2, 5, 100, 3000}) {
+    std::vector<double> weights;
+    for (int i = 0; i < n; ++i)
+      weights.push_back(i % 3 == 0 ? 0 : (i * 37 % 101) * (i % 17 == 5 ? 500 : 1));
+    const std::vector<float> sums = RunningSums(weights);
+    for (int num_guides : {1, 64, 256}) {
+      std::vector<uint32_t> guide;
+      AppendGuide(sums, num_guides, &guide);
+      ASSERT_EQ(guide.size(), static_cast<size_t>(num_guides) + 1);
+      for (int i = 0; i <= 20000; ++i) {
+        float u = std::min(static_cast<float>(i) / 20000, 0x1.fffffep-1f), v = u;
+        ASSERT_EQ(SampleGuided(sums, guide, &u), SampleRunningSums(sums, &v)) << n << " at " << i;
+        ASSERT_EQ(u, v);
+      }
+    }
+  }
 }
 
 TEST(CumulativeDistributionTest, NoWeightAtAllIsUniform) {

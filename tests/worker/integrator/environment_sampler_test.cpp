@@ -47,8 +47,8 @@ double SphereIntegral(const F& f) {
 
 TEST(EnvironmentSamplerTest, PdfIntegratesToOne) {
   for (float rotate : {0.f, 1.3f}) {
-    const EnvironmentLight light = Map(rotate);
-    const EnvironmentSampler sampler(light);
+    EnvironmentLight light = Map(rotate);
+    const EnvironmentSampler sampler(&light);
     const V3f up(0, 1, 0);
     EXPECT_NEAR(SphereIntegral([&](const V3f& d) { return sampler.Pdf(up, d); }), 1, 5e-3);
     EXPECT_NEAR(SphereIntegral([&](const V3f& d) { return Luminance(sampler.Radiance(d)); }),
@@ -57,8 +57,8 @@ TEST(EnvironmentSamplerTest, PdfIntegratesToOne) {
 }
 
 TEST(EnvironmentSamplerTest, SamplesFollowThePdfAndRadianceHasSupport) {
-  const EnvironmentLight light = Map(0.7f);
-  const EnvironmentSampler sampler(light);
+  EnvironmentLight light = Map(0.7f);
+  const EnvironmentSampler sampler(&light);
   const V3f up(0, 1, 0);
   constexpr int kCells = 12, kSamples = 40000;
   std::vector<double> expected(kCells * kCells, 0), counts(kCells * kCells, 0);
@@ -94,8 +94,8 @@ TEST(EnvironmentSamplerTest, SamplesFollowThePdfAndRadianceHasSupport) {
 }
 
 TEST(EnvironmentSamplerTest, SamplesEstimateTheIntegralOfTheRadiance) {
-  const EnvironmentLight light = Map(2);
-  const EnvironmentSampler sampler(light);
+  EnvironmentLight light = Map(2);
+  const EnvironmentSampler sampler(&light);
   double sum = 0;
   constexpr int kSamples = 1 << 14;
   for (int i = 0; i < kSamples; ++i) {
@@ -109,7 +109,7 @@ TEST(EnvironmentSamplerTest, SamplesEstimateTheIntegralOfTheRadiance) {
 TEST(EnvironmentSamplerTest, IsOrientedAsTheSkyMapping) {
   for (float rotate : {0.f, 0.9f, -2.f}) {
     EnvironmentLight light = Map(rotate);
-    const EnvironmentSampler sampler(light);
+    const EnvironmentSampler sampler(&light);
     for (int y = 0; y < light.height; ++y) {
       for (int x = 0; x < light.width; ++x) {
         const V2f centre((x + 0.5f) / light.width, (y + 0.5f) / light.height);
@@ -124,7 +124,7 @@ TEST(EnvironmentSamplerTest, IsOrientedAsTheSkyMapping) {
 TEST(EnvironmentSamplerTest, UniformSkyIsDrawnByTheCosine) {
   EnvironmentLight light;
   light.uniform = V3f(1, 2, 3);
-  const EnvironmentSampler sampler(light);
+  const EnvironmentSampler sampler(&light);
   const V3f normal = V3f(1, 2, -1).normalized();
   for (int i = 0; i < 100; ++i) {
     const DirectionSample s = sampler.Sample(normal, SobolSampler(1, i, 0, 0).Get2D(0));
@@ -138,7 +138,7 @@ TEST(EnvironmentSamplerTest, UniformSkyIsDrawnByTheCosine) {
 TEST(EnvironmentSamplerTest, BadTexelsCountAsBlack) {
   EnvironmentLight light = Map(0);
   light.texels[0] = V3f(-1, std::nanf(""), INFINITY);
-  const EnvironmentSampler sampler(light);
+  const EnvironmentSampler sampler(&light);
   EXPECT_TRUE(std::isfinite(sampler.irradiance()));
 }
 

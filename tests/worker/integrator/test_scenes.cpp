@@ -141,7 +141,7 @@ OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int 
   surfaces_ = std::make_unique<SurfaceReader>(*scene_, geometries_);
   embree_ = OrDie(EmbreeScene::Create(scene_.get(), *surfaces_, "x86-64-v3", 1));
   if (scene_->environment)
-    environment_ = std::make_unique<EnvironmentSampler>(*scene_->environment);
+    environment_ = std::make_unique<EnvironmentSampler>(&*scene_->environment);
   const Imath::Box3f bounds = embree_->bounds();
   lights_ = std::make_unique<LightSampler>(*scene_, *surfaces_, environment_.get(),
                                            bounds.isEmpty() ? 1.f : 0.5f * bounds.size().length());
