@@ -67,15 +67,6 @@ double GltfObject::Number(std::string_view field, double fallback) const {
   return number;
 }
 
-double GltfObject::Number(std::string_view field, double fallback, double min, double max) const {
-  const double number = Number(field, fallback);
-  if (Has(field) && !(number >= min && number <= max)) {
-    Fail(field, absl::StrCat(number, " is outside [", min, ", ", max, "]"));
-    return fallback;
-  }
-  return number;
-}
-
 bool GltfObject::ReadNumbers(std::string_view field, size_t count, double* out) const {
   const nlohmann::json* value = Find(field);
   if (value == nullptr) return false;
@@ -175,13 +166,6 @@ GltfObject GltfObject::Element(std::string_view field, int index) const {
   const char* dot = path_.empty() ? "" : ".";
   return GltfObject(&(*Find(field))[static_cast<size_t>(index)],
                     absl::StrCat(path_, dot, Absl(field), "[", index, "]"), status_);
-}
-
-std::vector<std::string> GltfObject::FieldNames() const {
-  std::vector<std::string> names;
-  if (value_ == nullptr) return names;
-  for (const auto& [name, unused] : value_->items()) names.push_back(name);
-  return names;
 }
 
 }  // namespace tessera

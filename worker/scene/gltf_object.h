@@ -24,9 +24,8 @@ class GltfObject {
   bool exists() const { return value_ != nullptr; }
   bool Has(std::string_view field) const { return Find(field) != nullptr; }
 
-  // Finite numbers, within [min, max].
+  // Finite numbers.
   double Number(std::string_view field, double fallback) const;
-  double Number(std::string_view field, double fallback, double min, double max) const;
   template <size_t N>
   std::array<double, N> Numbers(std::string_view field,
                                 const std::array<double, N>& fallback) const;
@@ -46,8 +45,6 @@ class GltfObject {
   std::vector<GltfObject> Objects(std::string_view field) const;
   // Entry `index` of an array field, which exists.
   GltfObject Element(std::string_view field, int index) const;
-  // The names of the fields, sorted.
-  std::vector<std::string> FieldNames() const;
 
   // Records "<path>.<field>: <problem>" unless an earlier error stands.
   void Fail(std::string_view field, std::string_view problem) const;

@@ -3,6 +3,7 @@
 #include <cctype>
 #include <filesystem>
 #include <fstream>
+#include <new>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -86,7 +87,13 @@ absl::Status Load(const SceneRequest& request, const AssetReader& read_asset, Sc
 absl::StatusOr<std::unique_ptr<Scene>> LoadScene(const SceneRequest& request,
                                                  const AssetReader& read_asset) {
   auto scene = std::make_unique<Scene>();
-  const absl::Status status = Load(request, read_asset, scene.get());
+  absl::Status status;
+  try {
+    status = Load(request, read_asset, scene.get());
+  } catch (const std::bad_alloc&) {
+    status = absl::ResourceExhaustedError(
+        "out of memory while loading; reduce the scene or use a machine with more memory");
+  }
   if (!status.ok()) {
     return absl::Status(status.code(),
                         OneLine(absl::StrCat(request.scene_name, ": ", status.message())));
