@@ -97,14 +97,18 @@ absl::Status FarmClient::UploadOne(const AssetFile& file, int64_t offset_bytes,
 absl::StatusOr<UploadReport> FarmClient::Upload(const std::vector<AssetFile>& files,
                                                 const UploadProgress& progress,
                                                 std::stop_token stop) {
+  // Equal files travel once, whatever their names.
   std::map<std::string, const AssetFile*> by_digest;
+  std::vector<AssetFile> distinct;
   int64_t bytes_total = 0;
   for (const AssetFile& file : files) {
-    if (by_digest.emplace(ToBytes(file.sha256), &file).second) bytes_total += file.size_bytes;
+    if (!by_digest.emplace(ToBytes(file.sha256), &file).second) continue;
+    distinct.push_back(file);
+    bytes_total += file.size_bytes;
   }
   UploadReport report;
   for (int round = 0; round < kRoundsMax; ++round) {
-    const absl::StatusOr<std::vector<v1::MissingAsset>> missing = FindMissing(files, stop);
+    const absl::StatusOr<std::vector<v1::MissingAsset>> missing = FindMissing(distinct, stop);
     if (!missing.ok()) return missing.status();
     if (missing->empty()) {
       if (progress) progress(bytes_total, bytes_total);

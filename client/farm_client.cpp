@@ -19,7 +19,7 @@ constexpr int kPagesMax = 10000;  // a server that never ends its list
 }  // namespace
 
 FarmClient::FarmClient(std::shared_ptr<grpc::Channel> channel, const FarmClientOptions& options)
-    : caller_(options.address, options.token, options.retry),
+    : caller_({options.address, options.tls}, options.token, options.retry),
       assets_(v1::AssetService::NewStub(channel)),
       jobs_(v1::JobService::NewStub(channel)),
       images_(v1::ImageService::NewStub(channel)),
@@ -27,7 +27,8 @@ FarmClient::FarmClient(std::shared_ptr<grpc::Channel> channel, const FarmClientO
 
 std::string FarmClient::NewRequestId() {
   absl::BitGen bits;  // names a request; decides no bit of a picture
-  return absl::StrFormat("%016x%016x", absl::Uniform<uint64_t>(bits), absl::Uniform<uint64_t>(bits));
+  return absl::StrFormat("%016x%016x", absl::Uniform<uint64_t>(bits),
+                         absl::Uniform<uint64_t>(bits));
 }
 
 absl::StatusOr<v1::Job> FarmClient::CreateJob(const v1::JobSettings& settings,

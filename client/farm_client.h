@@ -31,6 +31,7 @@ namespace tessera {
 
 struct FarmClientOptions {
   std::string address;  // for errors; empty = the coordinator inside this process
+  bool tls = false;     // whether the channel speaks TLS, for errors too
   std::string token;    // bearer token; empty = none
   RetryOptions retry;
 };
@@ -53,6 +54,8 @@ struct FetchedImage {
 
 // Bytes that the server has so far, and bytes in all.
 using UploadProgress = std::function<void(int64_t bytes_done, int64_t bytes_total)>;
+
+inline constexpr std::chrono::milliseconds kWatchInterval{200};
 
 class FarmClient {
  public:
@@ -80,7 +83,7 @@ class FarmClient {
   // terminal state, and returns that. A broken stream is taken up where it ended.
   absl::StatusOr<v1::Job> Watch(const std::string& name,
                                 const std::function<void(const v1::Job&)>& on_change,
-                                std::chrono::milliseconds min_interval = std::chrono::milliseconds(200),
+                                std::chrono::milliseconds min_interval = kWatchInterval,
                                 std::stop_token stop = {});
 
   // The layers as they are now.

@@ -19,8 +19,8 @@ void InterruptibleSleep(std::chrono::milliseconds duration, std::stop_token stop
 
 }  // namespace
 
-RpcCaller::RpcCaller(std::string address, std::string token, RetryOptions options)
-    : address_(std::move(address)), token_(std::move(token)), options_([&] {
+RpcCaller::RpcCaller(const Peer& peer, std::string token, RetryOptions options)
+    : peer_(peer), token_(std::move(token)), options_([&] {
         if (!options.sleep) options.sleep = InterruptibleSleep;
         return std::move(options);
       }()) {}

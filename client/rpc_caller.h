@@ -28,8 +28,8 @@ struct RetryOptions {
 // Threads: all methods from any thread.
 class RpcCaller {
  public:
-  // `token` (may be empty) travels as a bearer token with each call.
-  RpcCaller(std::string address, std::string token, RetryOptions options);
+  // `token` (may be empty) travels as a bearer token with each call; `peer` words the errors.
+  RpcCaller(const Peer& peer, std::string token, RetryOptions options);
 
   // Runs `call` until it returns something that IsTransient is not; each attempt has a context of
   // its own with the deadline and the token. A requested stop cancels the attempt (CANCELLED).
@@ -42,15 +42,13 @@ class RpcCaller {
       const std::function<grpc::Status(grpc::ClientContext*, bool* progressed)>& call,
       std::stop_token stop = {});
 
-  const std::string& address() const { return address_; }
-
  private:
   absl::Status Repeat(
       const std::function<grpc::Status(grpc::ClientContext*, bool* progressed)>& call,
       bool with_deadline, std::stop_token stop);
-  Peer peer() const { return {address_, reached_}; }
+  Peer peer() const { return {peer_.address, peer_.tls, reached_}; }
 
-  const std::string address_;
+  const Peer peer_;
   const std::string token_;
   const RetryOptions options_;
   std::atomic<bool> reached_ = false;

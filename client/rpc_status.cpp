@@ -1,6 +1,5 @@
 #include "client/rpc_status.h"
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 
 namespace tessera {
@@ -19,11 +18,9 @@ std::string UnavailableLine(const grpc::Status& status, const Peer& peer) {
                         "): once it is back, 'tessera list --server ", peer.address,
                         "' shows its jobs");
   }
-  const std::string& detail = status.error_message();
-  if (absl::StrContains(detail, "SSL") || absl::StrContains(detail, "handshake") ||
-      absl::StrContains(detail, "TLS")) {
-    return absl::StrCat("no TLS server at ", peer.address, " (", detail,
-                        "): check --ca, --cert and --key, or use --insecure if it speaks plaintext");
+  if (peer.tls) {
+    return absl::StrCat("no TLS server at ", peer.address, " (", status.error_message(),
+                        "): check --ca, --cert and --key, or drop them if it speaks plaintext");
   }
   return absl::StrCat("no server at ", peer.address,
                       ": start one with tessera-server, or drop --server to render here");

@@ -12,6 +12,7 @@ namespace tessera {
 // Where a channel leads, for the wording of errors.
 struct Peer {
   std::string address;     // "127.0.0.1:4242"; empty = the coordinator inside this process
+  bool tls = false;        // whether the channel speaks TLS
   bool reached = false;    // whether any call has been answered yet
 };
 

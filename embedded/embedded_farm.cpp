@@ -7,7 +7,6 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
-#include "spdlog/spdlog.h"
 #include "server/service.h"
 #include "worker/session/worker_session.h"
 
@@ -69,7 +68,6 @@ class EmbeddedFarm : public LocalFarm {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<LocalFarm>> StartEmbeddedFarm(const LocalFarmOptions& options) {
-  spdlog::set_level(spdlog::level::warn);  // the command line tells what goes on itself
   ServiceOptions service_options;
   service_options.filter_threads = options.threads;
   absl::StatusOr<std::unique_ptr<Service>> service = Service::Start(service_options);

@@ -91,6 +91,7 @@ absl::StatusOr<Connection> Connect(const ConnectFlags& flags) {
 
   Connection connection;
   connection.options.address = flags.server;
+  connection.options.tls = tls;
   absl::StatusOr<std::string> token = ReadCredential("--token-file", flags.token_file);
   if (!token.ok()) return token.status();
   connection.options.token = std::string(absl::StripAsciiWhitespace(*token));

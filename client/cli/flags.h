@@ -8,11 +8,11 @@
 namespace tessera {
 
 struct ConnectFlags {
-  std::string server;
-  std::string token_file;
-  std::string ca;
-  std::string cert;
-  std::string key;
+  std::string server{};
+  std::string token_file{};
+  std::string ca{};
+  std::string cert{};
+  std::string key{};
   bool insecure = false;
 };
 

@@ -1,7 +1,6 @@
 #include "client/cli/job_settings.h"
 
-#include <cstdlib>
-#include <limits>
+#include <algorithm>
 #include <string>
 #include <vector>
 
@@ -11,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "client/cli/parse_values.h"
+#include "core/denoise/denoiser.h"
 
 namespace tessera {
 namespace {
@@ -143,7 +143,14 @@ void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* se
 }
 
 void ReadServing(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* settings) {
-  if (!flags.denoiser.empty()) settings->set_denoiser(flags.denoiser);
+  if (!flags.denoiser.empty()) {
+    const std::vector<std::string> names = DenoiserNames();
+    if (std::find(names.begin(), names.end(), flags.denoiser) == names.end()) {
+      reader->Fail(absl::StrCat("--denoiser ", flags.denoiser, ": must be one of ",
+                                absl::StrJoin(names, ", ")));
+    }
+    settings->set_denoiser(flags.denoiser);
+  }
   if (flags.quality == "preview") {
     settings->set_quality(v1::QUALITY_PREVIEW);
   } else if (flags.quality == "final") {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include <google/protobuf/util/time_util.h>
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/str_cat.h"
@@ -9,10 +10,12 @@
 #include "absl/strings/str_join.h"
 #include "client/cli/job_text.h"
 #include "client/cli/progress_bar.h"
+#include "client/farm_client.h"
 
 namespace tessera {
 namespace {
 
+using google::protobuf::util::TimeUtil;
 using nlohmann::ordered_json;
 
 double Seconds(std::chrono::steady_clock::duration duration) {
@@ -26,16 +29,14 @@ ordered_json NumberOrNull(double value) {
 }  // namespace
 
 void RenderClock::OnChange(const v1::Job& job, TimePoint now) {
-  if (!leased_ && job.state() != v1::JOB_STATE_QUEUED) {
-    leased_ = true;
-    first_lease_ = now;
+  const bool terminal = IsTerminal(job.state());
+  if (!has_sampled_ && (terminal || job.state() == v1::JOB_STATE_FINISHING)) {
+    has_sampled_ = true;
+    sampled_ = now;
   }
-  const bool all_sampled =
-      job.state() == v1::JOB_STATE_FINISHING || job.state() == v1::JOB_STATE_DONE ||
-      job.state() == v1::JOB_STATE_CANCELLED || job.state() == v1::JOB_STATE_FAILED;
-  if (!sampled_ && all_sampled) {
-    sampled_ = true;
-    last_sample_ = now;
+  if (!has_ended_ && terminal) {
+    has_ended_ = true;
+    ended_ = now;
   }
 }
 
@@ -43,10 +44,11 @@ RenderSeconds RenderClock::Seconds(const v1::Job& job, TimePoint now) const {
   RenderSeconds seconds;
   seconds.total = tessera::Seconds(now - start_);
   seconds.load = job.scene().load_seconds();
-  if (leased_ && sampled_) {
-    seconds.render = std::max(0.0, tessera::Seconds(last_sample_ - first_lease_) - seconds.load);
-    seconds.filter = tessera::Seconds(now - last_sample_);
-  }
+  if (!has_ended_ || !job.has_start_time() || !job.has_end_time()) return seconds;
+  const double span =
+      1e-9 * static_cast<double>(TimeUtil::DurationToNanoseconds(job.end_time() - job.start_time()));
+  seconds.render = std::max(0.0, span - seconds.load - tessera::Seconds(ended_ - sampled_));
+  seconds.filter = tessera::Seconds(now - sampled_);
   return seconds;
 }
 

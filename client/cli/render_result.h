@@ -11,7 +11,7 @@
 
 namespace tessera {
 
-// Wall-clock seconds, as this process saw them.
+// Wall-clock seconds.
 struct RenderSeconds {
   double load = 0;    // building the scene on the worker
   double render = 0;  // from the first lease to the last sample, less load
@@ -19,7 +19,8 @@ struct RenderSeconds {
   double total = 0;   // of the whole command
 };
 
-// Notes when a job changes state.
+// Splits the time of a job: by the server's timestamps, and by when this process saw that all
+// samples were there (the server notes no time for that).
 class RenderClock {
  public:
   using TimePoint = std::chrono::steady_clock::time_point;
@@ -31,10 +32,10 @@ class RenderClock {
 
  private:
   TimePoint start_;
-  TimePoint first_lease_;
-  TimePoint last_sample_;
-  bool leased_ = false;
-  bool sampled_ = false;
+  TimePoint sampled_;  // all samples merged
+  TimePoint ended_;
+  bool has_sampled_ = false;
+  bool has_ended_ = false;
 };
 
 struct RenderResult {
