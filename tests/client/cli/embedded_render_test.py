@@ -1,0 +1,173 @@
+"""`tessera render` without a server: outputs, figures, films, interruption and continuation."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import unittest
+
+from command_line_case import CommandLineCase, TESSERA, TIMEOUT_SECONDS
+
+CANCELLED = 4
+SMALL = ["--size", "40x24", "--spp", "4"]
+
+
+class Render(CommandLineCase):
+    def test_json_has_exactly_the_stable_fields(self):
+        result = self.expect_json("render", "triangle.glb", "-o", "a.exr", "-o", "a.png", *SMALL)
+        self.assertEqual(list(result), ["digest", "width", "height", "spp", "samples", "rays",
+                                        "non_finite", "seconds", "error", "stopped_by", "bytes",
+                                        "outputs"])
+        self.assertEqual(set(result["seconds"]), {"load", "render", "filter", "total"})
+        self.assertEqual(set(result["error"]), {"rel_rmse", "promised"})
+        self.assertEqual(set(result["bytes"]), {"assets", "deltas"})
+        self.assertRegex(result["digest"], "^[0-9a-f]{64}$")
+        self.assertEqual((result["width"], result["height"]), (40, 24))
+        self.assertEqual(result["samples"], 40 * 24 * 4)
+        self.assertEqual(result["stopped_by"], "spp")
+        self.assertEqual(result["outputs"], ["a.exr", "a.png"])
+        self.assertEqual((self.folder / "a.png").read_bytes()[1:4], b"PNG")
+        self.assertEqual((self.folder / "a.exr").read_bytes()[:4], b"\x76\x2f\x31\x01")
+
+    def test_the_same_bits_for_any_threads_and_tiles(self):
+        digests = {self.expect_json("render", "triangle.glb", "-o", "a.png", *SMALL,
+                                    *flags)["digest"]
+                   for flags in ([], ["--threads", "1"], ["--tile-size", "16"],
+                                 ["--tile-size", "7", "--threads", "2"])}
+        self.assertEqual(len(digests), 1)
+        other = self.expect_json("render", "triangle.glb", "-o", "a.png", *SMALL, "--seed", "1")
+        self.assertNotIn(other["digest"], digests)
+
+    def test_notes_and_quiet(self):
+        loud = self.run_tessera("render", "triangle.glb", "-o", "a.png", *SMALL)
+        self.assertIn("neutral sky", loud.stderr)
+        self.assertIn("a.png", loud.stdout)
+        quiet = self.run_tessera("render", "triangle.glb", "-o", "a.png", *SMALL, "--quiet")
+        self.assertEqual((quiet.stdout, quiet.stderr, quiet.returncode), ("", "", 0))
+
+    def test_region_and_transparency(self):
+        self.expect_done("render", "triangle.glb", "-o", "whole.exr", *SMALL)
+        part = self.expect_json("render", "triangle.glb", "-o", "part.exr", *SMALL, "--region",
+                                "8,4,16,16", "--transparent")
+        self.assertEqual(part["samples"], 16 * 16 * 4)
+        done = self.run_tessera("compare", "part.exr", "whole.exr")
+        self.assertEqual(done.returncode, 2, "other pixels cannot be compared")
+
+    def test_film_denoises_to_the_served_picture(self):
+        self.expect_done("render", "triangle.glb", "-o", "film.exr", "--layers", "film", *SMALL)
+        self.expect_done("denoise", "film.exr", "-o", "again.exr")
+        self.assertEqual(self.expect_json("compare", "again.exr", "film.exr")["rel_mse"], 0)
+        self.expect_done("denoise", "film.exr", "--denoiser", "none", "-o", "raw.exr")
+        self.assertGreater(self.expect_json("compare", "raw.exr", "film.exr")["rel_mse"], 0)
+
+    def test_two_halves_of_any_renderer(self):
+        self.expect_done("render", "triangle.glb", "-o", "a.exr", *SMALL, "--denoiser", "none")
+        self.expect_done("render", "triangle.glb", "-o", "b.exr", *SMALL, "--denoiser", "none",
+                         "--seed", "1")
+        self.expect_done("render", "triangle.glb", "-o", "ref.exr", "--size", "40x24", "--spp",
+                         "1024")
+        self.expect_done("denoise", "a.exr", "b.exr", "-o", "joined.exr")
+        joined = self.expect_json("compare", "joined.exr", "ref.exr")
+        half = self.expect_json("compare", "a.exr", "ref.exr")
+        self.assertLess(joined["rel_mse"], half["rel_mse"])
+
+
+class Continue(CommandLineCase):
+    def test_more_samples_give_the_bits_of_one_render(self):
+        whole = self.expect_json("render", "triangle.glb", "-o", "w.exr", "--size", "40x24",
+                                 "--spp", "11")
+        self.expect_done("render", "triangle.glb", "-o", "film.exr", "--layers", "film", *SMALL)
+        more = self.expect_json("render", "triangle.glb", "--continue", "film.exr", "-o", "m.exr",
+                                "--spp", "11")
+        self.assertEqual(more["digest"], whole["digest"])
+        self.assertEqual(more["samples"], whole["samples"])
+
+    def test_other_settings_are_refused(self):
+        self.expect_done("render", "triangle.glb", "-o", "film.exr", "--layers", "film", *SMALL)
+        self.expect_error(2, ["--seed", "--max-depth"], "render", "triangle.glb", "--continue",
+                          "film.exr", "-o", "m.exr", "--seed", "9", "--max-depth", "1")
+        self.expect_done("render", "triangle.glb", "-o", "plain.exr", *SMALL)
+        self.expect_error(2, ["plain.exr", "--layers film"], "render", "triangle.glb",
+                          "--continue", "plain.exr", "-o", "m.exr")
+
+
+class Interrupt(CommandLineCase):
+    def interrupt_render(self, *flags):
+        """Sends SIGINT once the progress bar shows samples; returns exit code, stdout, stderr."""
+        terminal, stderr = pty.openpty()
+        process = subprocess.Popen([TESSERA, "render", "triangle.glb", "--size", "128x128",
+                                    "--spp", "1000000", *flags], cwd=self.folder, stderr=stderr,
+                                   stdout=subprocess.PIPE, text=True)
+        self.addCleanup(process.kill)
+        os.close(stderr)
+        shown = ""
+        while not re.search(r"(?!0\.0)\d+\.\d/1000000 spp", shown):
+            shown += os.read(terminal, 4096).decode()
+        process.send_signal(signal.SIGINT)
+        try:
+            while True:
+                shown += os.read(terminal, 4096).decode()
+        except OSError:  # the other end is closed
+            pass
+        os.close(terminal)
+        stdout, _ = process.communicate(timeout=TIMEOUT_SECONDS)
+        return process.returncode, stdout, shown
+
+    def test_saves_the_picture_and_a_film_to_continue(self):
+        code, stdout, stderr = self.interrupt_render("-o", "a.png", "--json")
+        self.assertEqual(code, CANCELLED, stderr)
+        self.assertIn("--continue a.film.exr", stderr)
+        result = json.loads(stdout)
+        self.assertEqual(result["stopped_by"], "cancelled")
+        self.assertEqual(result["outputs"], ["a.png", "a.film.exr"])
+        self.assertTrue((self.folder / "a.png").exists())
+        # The next power of two: fewer samples than the film has would be another picture.
+        spp = 1
+        while spp <= result["spp"] + 1:
+            spp *= 2
+        more = self.expect_json("render", "triangle.glb", "--continue", "a.film.exr", "-o",
+                                "more.png", "--spp", str(spp))
+        straight = self.expect_json("render", "triangle.glb", "--size", "128x128", "-o",
+                                    "straight.png", "--spp", str(spp))
+        self.assertEqual(more["digest"], straight["digest"])
+
+    def test_film_output_serves_itself(self):
+        code, stdout, stderr = self.interrupt_render("-o", "a.exr", "--layers", "film", "--json")
+        self.assertEqual(code, CANCELLED, stderr)
+        self.assertEqual(json.loads(stdout)["outputs"], ["a.exr"])
+        self.assertIn("--continue a.exr", stderr)
+
+
+class Info(CommandLineCase):
+    def test_describes_the_scene(self):
+        info = self.expect_json("info", "triangle.glb")
+        self.assertEqual(info["triangles"], 1)
+        self.assertTrue(info["renderable"])
+        self.assertIn("triangles", self.expect_done("info", "triangle.glb"))
+        self.expect_error(2, ["missing.glb"], "info", "missing.glb")
+
+
+class Completion(CommandLineCase):
+    def complete(self, *words):
+        script = ("source <(\"$TESSERA\" completion); COMP_WORDS=(\"$@\"); "
+                  "COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); _tessera; "
+                  "printf '%s\\n' \"${COMPREPLY[@]}\"")
+        done = subprocess.run(["bash", "-c", script, "bash", *words], cwd=self.folder,
+                              capture_output=True, text=True, timeout=TIMEOUT_SECONDS, check=True)
+        self.assertEqual(done.stderr, "")
+        return done.stdout.split()
+
+    def test_script_is_valid_and_completes(self):
+        script = self.expect_done("completion")
+        subprocess.run(["bash", "-n"], input=script, text=True, check=True)
+        self.assertEqual(self.complete("tessera", "rend"), ["render"])
+        self.assertEqual(self.complete("tessera", "render", "--targ"), ["--target-error"])
+        self.assertEqual(self.complete("tessera", "render", "--quality", "p"), ["preview"])
+        self.assertEqual(self.complete("tessera", "render", "tri"), ["triangle.glb"])
+        self.assertEqual(self.complete("tessera", "list", "--spp"), [])
+
+
+if __name__ == "__main__":
+    unittest.main()
