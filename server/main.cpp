@@ -72,6 +72,7 @@ absl::Status WritePorts(const std::string& path, const Service& service) {
 }
 
 int Run(int argc, char** argv) {
+  setenv("GRPC_VERBOSITY", "NONE", 0);  // its errors reach the user as statuses
   // Before any thread: all of them leave these signals to the wait below.
   sigset_t signals;
   sigemptyset(&signals);

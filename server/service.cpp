@@ -65,8 +65,7 @@ absl::Status CheckOptions(const ServiceOptions& options) {
   return absl::OkStatus();
 }
 
-// Half of the machine's memory.
-int64_t FilmBytesMax() {
+int64_t HalfOfMemory() {
   return int64_t{sysconf(_SC_PHYS_PAGES)} * sysconf(_SC_PAGESIZE) / 2;
 }
 
@@ -139,11 +138,15 @@ absl::Status Service::Impl::OpenStore(const ServiceOptions& options) {
     const absl::StatusOr<uint64_t> incarnation = catalogue_->NextIncarnation();
     if (!incarnation.ok()) return incarnation.status();
     config_.incarnation = *incarnation;
+    const absl::StatusOr<uint64_t> last_job = catalogue_->LastJob();
+    if (!last_job.ok()) return last_job.status();
+    config_.first_job = *last_job + 1;
   } else {
     config_.incarnation = static_cast<uint64_t>(Now().unix_ms);
   }
-  auto assets =
-      AssetStore::Open(data_dir_ ? data_dir_->Path("assets") : "", options.data_bytes_max);
+  int64_t bytes_max = options.data_bytes_max;
+  if (!data_dir_ && (bytes_max == 0 || bytes_max > HalfOfMemory())) bytes_max = HalfOfMemory();
+  auto assets = AssetStore::Open(data_dir_ ? data_dir_->Path("assets") : "", bytes_max);
   if (!assets.ok()) return assets.status();
   assets_ = *std::move(assets);
   return absl::OkStatus();
@@ -174,7 +177,7 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   config_.version = kVersion;
   config_.defaults = {.tile_size = options.tile_size, .denoisers = DenoiserNames()};
   config_.lease_ttl_ms = options.lease_ttl.count();
-  config_.film_bytes_max = FilmBytesMax();
+  config_.film_bytes_max = HalfOfMemory();
   saver_ = std::make_unique<JobSaver>(catalogue_.get(), films_.get(), assets_.get());
   sessions_ = std::make_unique<WorkerSessions>([this](Event event) {
     const absl::Status status = host_->Post(std::move(event)).status;

@@ -24,7 +24,8 @@ absl::StatusOr<JobId> ParseJobName(const std::string& name) {
   return id;
 }
 
-Coordinator::Coordinator(CoordinatorConfig config) : config_(std::move(config)) {}
+Coordinator::Coordinator(CoordinatorConfig config)
+    : config_(std::move(config)), next_job_(config_.first_job) {}
 Coordinator::~Coordinator() = default;
 
 StepResult Coordinator::Step(Event event, Instant now) {

@@ -29,6 +29,7 @@ namespace tessera {
 
 struct CoordinatorConfig {
   uint64_t incarnation = 1;  // differs between two runs of a server
+  JobId first_job = 1;       // ids of new jobs begin here
   std::string version;       // workers must have the same
   SettingsDefaults defaults;
   int64_t lease_ttl_ms = 10000;
@@ -139,7 +140,7 @@ class Coordinator {
   StepResult result_;  // of the step under way
 
   uint64_t revision_ = 0;
-  JobId next_job_ = 1;
+  JobId next_job_;
   LeaseId next_lease_ = 1;
   uint64_t next_worker_ = 1;
   std::map<JobId, std::unique_ptr<Job>> jobs_;

@@ -1,0 +1,257 @@
+#include "server/service.h"
+
+#include <cstring>
+#include <filesystem>
+
+#include <httplib.h>
+
+#include "core/film/frame_planes.h"
+#include "tests/server/service_fixture.h"
+
+namespace tessera {
+namespace {
+
+using ServiceTest = ServiceFixture;
+
+std::string ExpectedDigest(const v1::JobSettings& s, int64_t spp) {
+  const TileGrid grid(RegionOf(s), s.tile_size());
+  return ToBytes(SyntheticFilm(s.seed(), grid, spp).Digest());
+}
+
+TEST_F(ServiceTest, SubmitWatchFetch) {
+  StartService();
+  const v1::JobSettings settings = UploadedSettings(21);
+  v1::Job job;
+  ASSERT_TRUE(Create(settings, &job).ok());
+  EXPECT_EQ(job.name(), "jobs/1");
+  SyntheticWorker worker(channel), second(service->InProcessChannel());
+  v1::Job last;
+  EXPECT_GE(Watch(job.name(), &last), 1);
+  EXPECT_EQ(last.state(), v1::JOB_STATE_DONE);
+  EXPECT_EQ(last.digest(), ExpectedDigest(settings, 21));
+  EXPECT_EQ(last.progress().samples(), 21 * 190);
+
+  v1::GetImageRequest request;
+  request.set_job(job.name());
+  request.add_layers("raw");
+  request.add_layers("samples");
+  request.set_wait_for_filter(true);
+  request.mutable_region()->set_x(3);
+  request.mutable_region()->set_y(2);
+  request.mutable_region()->set_width(9);
+  request.mutable_region()->set_height(5);
+  grpc::ClientContext context;
+  const auto reader = images->GetImage(&context, request);
+  v1::GetImageResponse response;
+  std::string bytes;
+  v1::ImageHeader header;
+  while (reader->Read(&response)) {
+    if (response.has_header()) header = response.header();
+    bytes += response.chunk();
+  }
+  ASSERT_TRUE(reader->Finish().ok());
+  ASSERT_EQ(header.layers_size(), 2);
+  EXPECT_EQ(header.layers(0).channels_size(), 3);
+  EXPECT_TRUE(header.layers(1).is_uint());
+  ASSERT_EQ(bytes.size(), 4u * 45u * 4u);
+  // The mean of pixel (3, 2), red, as the film has it.
+  FramePlanes planes(RegionOf(settings));
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  const Film film = SyntheticFilm(0, grid, 21);
+  for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) planes.Resolve(film.Fold(tile));
+  float red = 0;
+  std::memcpy(&red, bytes.data(), sizeof(red));
+  EXPECT_EQ(red, planes.color[0][static_cast<size_t>(planes.bounds.IndexOf(3, 2))]);
+  uint32_t samples = 0;
+  std::memcpy(&samples, bytes.data() + 3 * 45 * 4, sizeof(samples));
+  EXPECT_EQ(samples, 21u);
+}
+
+TEST_F(ServiceTest, TheFilmOfAJobIsFetchedWhole) {
+  StartService();
+  const v1::JobSettings settings = UploadedSettings(5);
+  v1::Job job;
+  ASSERT_TRUE(Create(settings, &job).ok());
+  SyntheticWorker worker(channel);
+  v1::Job last;
+  Watch(job.name(), &last);
+  grpc::ClientContext context;
+  v1::GetFilmRequest request;
+  request.set_job(job.name());
+  const auto reader = images->GetFilm(&context, request);
+  v1::GetFilmResponse response;
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  Film film(grid);
+  while (reader->Read(&response)) {
+    const v1::FilmNode& node = response.node();
+    absl::StatusOr<TileStatistics> tile =
+        DecodeDelta(RectOf(node.window()), {node.sample_begin(), node.sample_end()},
+                    node.encoding(), node.payload());
+    ASSERT_TRUE(tile.ok()) << tile.status();
+    ASSERT_TRUE(film.Accept(grid.TilesIn(RectOf(node.window())).at(0), *std::move(tile)).ok());
+  }
+  ASSERT_TRUE(reader->Finish().ok());
+  EXPECT_EQ(ToBytes(film.Digest()), last.digest());
+}
+
+TEST_F(ServiceTest, CancelEndsTheWatch) {
+  StartService();
+  v1::Job job;
+  ASSERT_TRUE(Create(UploadedSettings(1 << 20), &job).ok());
+  grpc::ClientContext watch_context;
+  v1::WatchJobRequest watch;
+  watch.set_name(job.name());
+  const auto reader = jobs->WatchJob(&watch_context, watch);
+  v1::Job update;
+  ASSERT_TRUE(reader->Read(&update));
+  EXPECT_EQ(update.state(), v1::JOB_STATE_QUEUED);
+  grpc::ClientContext context;
+  v1::CancelJobRequest request;
+  request.set_name(job.name());
+  ASSERT_TRUE(jobs->CancelJob(&context, request, &job).ok());
+  while (reader->Read(&update)) {
+  }
+  EXPECT_TRUE(reader->Finish().ok());
+  EXPECT_EQ(update.state(), v1::JOB_STATE_CANCELLED);
+}
+
+TEST_F(ServiceTest, ASlowWatcherSkipsStates) {
+  StartService();
+  v1::Job job;
+  ASSERT_TRUE(Create(UploadedSettings(256), &job).ok());
+  // Never read until the job is done: what waits for this watcher is one state, not hundreds.
+  grpc::ClientContext slow_context;
+  v1::WatchJobRequest request;
+  request.set_name(job.name());
+  request.mutable_min_interval()->set_nanos(1);
+  const auto slow = jobs->WatchJob(&slow_context, request);
+  SyntheticWorker worker(channel);
+  v1::Job last;
+  Watch(job.name(), &last);
+  ASSERT_EQ(last.state(), v1::JOB_STATE_DONE);
+  v1::Job state;
+  int64_t count = 0;
+  while (slow->Read(&state)) ++count;
+  EXPECT_TRUE(slow->Finish().ok());
+  EXPECT_EQ(state.state(), v1::JOB_STATE_DONE);
+  EXPECT_LT(count, static_cast<int64_t>(last.revision().counter()));
+}
+
+TEST_F(ServiceTest, BadRequestsNameTheFieldAndHarmNothing) {
+  StartService();
+  v1::JobSettings settings = UploadedSettings(2);
+  v1::Job job;
+  settings.set_width(0);
+  grpc::Status status = Create(settings, &job);
+  EXPECT_EQ(status.error_code(), grpc::INVALID_ARGUMENT);
+  EXPECT_NE(status.error_message().find("width"), std::string::npos);
+  settings = UploadedSettings(2);
+  settings.mutable_assets(0)->set_sha256(std::string(32, 'z'));
+  status = Create(settings, &job);
+  EXPECT_EQ(status.error_code(), grpc::FAILED_PRECONDITION);
+  EXPECT_NE(status.error_message().find("7a7a7a"), std::string::npos) << status.error_message();
+  settings.set_scene_name(std::string(5 << 20, 'x'));
+  EXPECT_EQ(Create(settings, &job).error_code(), grpc::RESOURCE_EXHAUSTED) << "5 MiB at once";
+  grpc::ClientContext context;
+  v1::GetJobRequest get;
+  get.set_name("jobs/../1");
+  EXPECT_EQ(jobs->GetJob(&context, get, &job).error_code(), grpc::INVALID_ARGUMENT);
+  EXPECT_EQ(Upload("wrong", Sha256Of("right")).error_code(), grpc::DATA_LOSS);
+
+  // A worker that sends nonsense loses its session; the job goes on with another.
+  ASSERT_TRUE(Create(UploadedSettings(2), &job).ok());
+  grpc::ClientContext bad_context;
+  const auto stub = v1::WorkerService::NewStub(channel);
+  const auto stream = stub->Work(&bad_context);
+  v1::WorkerMessage message;
+  message.mutable_hello()->set_threads(1);
+  message.mutable_hello()->set_version(kVersion);
+  message.mutable_hello()->add_isa_classes("x86-64-v3");
+  stream->Write(message);
+  v1::CoordinatorMessage down;
+  while (stream->Read(&down) && !down.has_lease()) {
+  }
+  *message.mutable_delta()->mutable_window() = down.lease().window();
+  message.mutable_delta()->set_job(job.name());
+  message.mutable_delta()->set_sample_end(2);
+  message.mutable_delta()->set_payload("nonsense");
+  stream->Write(message);
+  while (stream->Read(&down)) {
+  }
+  EXPECT_EQ(stream->Finish().error_code(), grpc::INVALID_ARGUMENT);
+  SyntheticWorker worker(channel);
+  v1::Job last;
+  Watch(job.name(), &last);
+  EXPECT_EQ(last.state(), v1::JOB_STATE_DONE);
+}
+
+TEST_F(ServiceTest, PicturesOverHttpHaveETags) {
+  StartService();
+  const v1::JobSettings settings = UploadedSettings(4);
+  v1::Job job;
+  ASSERT_TRUE(Create(settings, &job).ok());
+  SyntheticWorker worker(channel);
+  v1::Job last;
+  Watch(job.name(), &last);
+  httplib::Client client("127.0.0.1", service->http_port());
+  EXPECT_EQ(client.Get("/healthz")->status, 200);
+  EXPECT_EQ(client.Get("/")->status, 200);
+  EXPECT_NE(client.Get("/jobs")->body.find("jobs/1"), std::string::npos);
+  EXPECT_NE(client.Get("/jobs/1")->body.find("JOB_STATE_DONE"), std::string::npos);
+  const auto picture = client.Get("/jobs/1/image.png?layer=raw&region=1,1,8,8&exposure=1");
+  EXPECT_EQ(picture->status, 200);
+  EXPECT_EQ(picture->body.substr(1, 3), "PNG");
+  const httplib::Headers headers = {{"If-None-Match", picture->get_header_value("ETag")}};
+  EXPECT_EQ(client.Get("/jobs/1/image.png?layer=raw", headers)->status, 304);
+  for (const char* layer : {"final", "albedo", "normal", "Z", "id", "samples", "variance"}) {
+    EXPECT_EQ(client.Get((std::string("/jobs/1/image.png?layer=") + layer).c_str())->status, 200);
+  }
+  EXPECT_EQ(client.Get("/jobs/2/image.png")->status, 404);
+  EXPECT_EQ(client.Get("/jobs/1/image.png?layer=magic")->status, 400);
+  EXPECT_EQ(client.Get("/jobs/1/image.png?region=0,0,9999,1")->status, 400);
+}
+
+TEST_F(ServiceTest, JobsSurviveARestart) {
+  ServiceOptions options;
+  options.data_dir = testing::TempDir() + "/service-" + std::to_string(::getpid());
+  std::filesystem::remove_all(options.data_dir);
+  StartService(options);
+  EXPECT_TRUE(absl::IsUnavailable(Service::Start(options).status())) << "the folder is locked";
+  v1::Job done, queued, last;
+  ASSERT_TRUE(Create(UploadedSettings(3), &done).ok());
+  {
+    SyntheticWorker worker(channel);
+    Watch(done.name(), &last);
+  }
+  v1::JobSettings other = UploadedSettings(6);
+  other.set_seed(3);
+  ASSERT_TRUE(Create(other, &queued).ok());
+  service->Shutdown();
+  service.reset();
+  StartService(options);
+  v1::Job restored;
+  EXPECT_EQ(Watch(done.name(), &restored), 1);
+  EXPECT_EQ(restored.state(), v1::JOB_STATE_DONE);
+  EXPECT_EQ(restored.digest(), last.digest());
+  EXPECT_EQ(restored.revision().incarnation(), 2u);
+  SyntheticWorker worker(channel);
+  Watch(queued.name(), &last);
+  EXPECT_EQ(last.digest(), ExpectedDigest(other, 6));
+  std::filesystem::remove_all(options.data_dir);
+}
+
+TEST(ServiceStart, RefusesPlaintextToTheWorldAndPortsInUse) {
+  ServiceOptions options;
+  options.listen = "0.0.0.0:0";
+  const absl::Status plaintext = Service::Start(options).status();
+  EXPECT_TRUE(absl::IsInvalidArgument(plaintext));
+  EXPECT_NE(plaintext.message().find("--insecure"), absl::string_view::npos);
+  options.listen = "127.0.0.1:0";
+  const auto first = Service::Start(options);
+  ASSERT_TRUE(first.ok());
+  options.listen = absl::StrCat("127.0.0.1:", (*first)->port());
+  EXPECT_TRUE(absl::IsUnavailable(Service::Start(options).status()));
+}
+
+}  // namespace
+}  // namespace tessera

@@ -1,0 +1,172 @@
+// A coordinator with workers that live in this object: no threads, no clock, every message
+// delivered when the test says so.
+#pragma once
+
+#include <deque>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/coordinator.h"
+#include "tests/server/synthetic_tile.h"
+
+namespace tessera {
+
+inline v1::JobSettings SmallSettings(int64_t spp = 16) {
+  v1::JobSettings settings;
+  settings.set_scene_name("scene.glb");
+  v1::AssetRef& asset = *settings.add_assets();
+  asset.set_name("scene.glb");
+  asset.set_sha256(std::string(32, 'a'));
+  asset.set_size_bytes(3);
+  settings.set_width(19);
+  settings.set_height(10);
+  settings.set_spp(spp);
+  settings.set_tile_size(8);
+  settings.set_max_depth(8);
+  return settings;
+}
+
+inline CoordinatorConfig SmallConfig() {
+  CoordinatorConfig config;
+  config.incarnation = 7;
+  config.version = "1.2.3";
+  config.defaults = {.tile_size = 32, .denoisers = {"none"}};
+  config.lease_ttl_ms = 1000;
+  return config;
+}
+
+class SimulatedFarm {
+ public:
+  explicit SimulatedFarm(CoordinatorConfig config = SmallConfig()) : coordinator(config) {}
+
+  struct SimulatedWorker {
+    std::deque<v1::Lease> leases;
+    std::map<std::string, v1::JobSettings> specs;
+    int welcomes = 0;
+    std::vector<std::string> forgotten;
+    std::optional<absl::Status> closed;
+  };
+
+  // Posts an event and carries out what follows: pictures and last pictures are answered at once.
+  StepResult Post(Event event) {
+    StepResult result = coordinator.Step(std::move(event), {now_ms, 1000000 + now_ms});
+    for (const Effect& effect : result.effects) {
+      std::visit([this](const auto& e) { Apply(e); }, effect);
+    }
+    while (!answers.empty() && answer_pictures) {
+      Event answer = std::move(answers.front());
+      answers.pop_front();
+      Post(std::move(answer));
+    }
+    return result;
+  }
+
+  JobId Create(const v1::JobSettings& settings, const std::string& request_id = "") {
+    CreateJobEvent event;
+    event.settings = settings;
+    event.request_id = request_id;
+    return Post(std::move(event)).job;
+  }
+  absl::Status Command(JobCommand command, JobId job) {
+    return Post(JobCommandEvent{command, job, ""}).status;
+  }
+  v1::Hello MakeHello(const std::string& host, int threads) {
+    v1::Hello hello;
+    hello.set_host(host);
+    hello.set_process_id(1);
+    hello.set_threads(threads);
+    hello.set_memory_bytes(int64_t{1} << 30);
+    hello.set_version("1.2.3");
+    hello.add_isa_classes("x86-64-v3");
+    return hello;
+  }
+  SessionId Connect(int threads = 2, const std::string& host = "") {
+    const SessionId session = next_session++;
+    Post(WorkerConnectedEvent{
+        session, MakeHello(host.empty() ? absl::StrCat("host", session) : host, threads)});
+    return session;
+  }
+  void Disconnect(SessionId session) {
+    workers.erase(session);
+    Post(WorkerGoneEvent{session});
+  }
+
+  // What the worker sends once it has rendered the lease.
+  DeltaEvent Render(SessionId session, const v1::Lease& lease) {
+    DeltaEvent event;
+    event.session = session;
+    event.delta.set_lease_id(lease.id());
+    event.delta.set_job(lease.job());
+    event.delta.set_tile_index(lease.tile_index());
+    event.delta.set_rays(5);
+    event.wire_bytes = 100;
+    const uint64_t seed = workers[session].specs[lease.job()].seed();
+    event.tile = SyntheticTile(seed, RectOf(lease.window()),
+                               {lease.sample_begin(), lease.sample_end()});
+    return event;
+  }
+  // The worker finishes its oldest lease. Returns false if it has none.
+  bool RenderOne(SessionId session) {
+    SimulatedWorker& worker = workers[session];
+    if (worker.leases.empty()) return false;
+    const v1::Lease lease = worker.leases.front();
+    worker.leases.pop_front();
+    last_status = Post(Render(session, lease)).status;
+    return true;
+  }
+  // All workers render in turn until nobody has a lease.
+  void RunAll() {
+    for (bool any = true; any;) {
+      any = false;
+      for (SessionId session = 1; session < next_session; ++session) {
+        if (workers.contains(session) && RenderOne(session)) any = true;
+      }
+    }
+  }
+  v1::Job Job(JobId id) { return *coordinator.GetJob(id); }
+
+  Coordinator coordinator;
+  int64_t now_ms = 1000;
+  SessionId next_session = 1;
+  std::map<SessionId, SimulatedWorker> workers;
+  std::deque<Event> answers;
+  bool answer_pictures = true;
+  double estimated_error = 0.5;  // what evaluated pictures say
+  std::vector<JobId> removed, saved;
+  absl::Status last_status;
+
+ private:
+  void Apply(const SendEffect& effect) {
+    SimulatedWorker& worker = workers[effect.session];
+    const v1::CoordinatorMessage& message = effect.message;
+    if (message.has_welcome()) ++worker.welcomes;
+    if (message.has_job()) worker.specs[message.job().job()] = message.job().settings();
+    if (message.has_lease()) worker.leases.push_back(message.lease());
+    if (message.has_forget()) worker.forgotten.push_back(message.forget().job());
+    if (message.has_revoke()) {
+      std::erase_if(worker.leases, [&](const v1::Lease& lease) {
+        return lease.id() == message.revoke().id();
+      });
+    }
+  }
+  void Apply(const CloseSessionEffect& effect) {
+    workers[effect.session].closed = effect.status;
+    workers[effect.session].leases.clear();
+  }
+  void Apply(const JobChangedEffect&) {}
+  void Apply(const TileChangedEffect&) {}
+  void Apply(const SaveJobEffect& effect) { saved.push_back(effect.job); }
+  void Apply(const RemoveJobEffect& effect) { removed.push_back(effect.job); }
+  void Apply(const EvaluatePictureEffect& effect) {
+    const int64_t committed_spp = coordinator.GetJob(effect.job)->progress().committed_spp();
+    answers.push_back(PictureEvent{effect.job, committed_spp, estimated_error, 0});
+  }
+  void Apply(const FinishJobEffect& effect) {
+    answers.push_back(JobFinishedEvent{effect.job, coordinator.FilmOf(effect.job)->Digest()});
+  }
+};
+
+}  // namespace tessera
