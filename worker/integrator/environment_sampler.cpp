@@ -58,6 +58,12 @@ EnvironmentSampler::EnvironmentSampler(EnvironmentLight* mutable_light)
   AppendGuide(row_sums_, kGuides, &row_guide_);
 }
 
+int64_t EnvironmentSampler::memory_bytes() const {
+  return static_cast<int64_t>(sizeof(float) *
+                                  (row_sums_.size() + column_sums_.size() + row_cosines_.size()) +
+                              sizeof(uint32_t) * (row_guide_.size() + column_guides_.size()));
+}
+
 V2f EnvironmentSampler::UvOfDirection(const V3f& d) const {
   // Into the map's frame: turned back about +y; its centre column looks along +x.
   const float x = rotate_cos_ * d.x - rotate_sin_ * d.z;

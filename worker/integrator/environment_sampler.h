@@ -28,6 +28,8 @@ class EnvironmentSampler {
   bool emits() const { return irradiance_ > 0; }
   // Integral of the luminance over the sphere, W/m^2; of a map to about one part in its height.
   double irradiance() const { return irradiance_; }
+  // Of the tables, the map itself not counted.
+  int64_t memory_bytes() const;
 
   // `normal`: of the receiver, unit; used by the uniform sky only.
   DirectionSample Sample(const V3f& normal, const V2f& u) const;

@@ -69,6 +69,12 @@ LightSampler::LightSampler(const Scene& scene, const SurfaceReader& surfaces,
   AppendGuide(running_sums_, kGuides, &guide_);
 }
 
+int64_t LightSampler::memory_bytes() const {
+  return static_cast<int64_t>(
+      sizeof(Entry) * entries_.size() + sizeof(float) * running_sums_.size() +
+      sizeof(uint32_t) * guide_.size() + sizeof(int64_t) * first_triangle_.size());
+}
+
 std::vector<LightSampler::Candidate> LightSampler::CollectCandidates(const Scene& scene,
                                                                      float scene_radius) const {
   std::vector<Candidate> candidates;

@@ -34,6 +34,7 @@ class LightSampler {
   bool empty() const { return entries_.empty(); }
   // Whether any light has an extent, so that a BSDF sample can meet it.
   bool has_extended_lights() const { return extended_; }
+  int64_t memory_bytes() const;
 
   // False if the choice lights nothing here. u_choice and u in [0, 1).
   bool Sample(const V3f& receiver, const V3f& receiver_normal, float u_choice, const V2f& u,
