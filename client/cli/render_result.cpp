@@ -45,8 +45,8 @@ RenderSeconds RenderClock::Seconds(const v1::Job& job, TimePoint now) const {
   seconds.total = tessera::Seconds(now - start_);
   seconds.load = job.scene().load_seconds();
   if (!has_ended_ || !job.has_start_time() || !job.has_end_time()) return seconds;
-  const double span =
-      1e-9 * static_cast<double>(TimeUtil::DurationToNanoseconds(job.end_time() - job.start_time()));
+  const int64_t span_ns = TimeUtil::DurationToNanoseconds(job.end_time() - job.start_time());
+  const double span = 1e-9 * static_cast<double>(span_ns);
   seconds.render = std::max(0.0, span - seconds.load - tessera::Seconds(ended_ - sampled_));
   seconds.filter = tessera::Seconds(now - sampled_);
   return seconds;

@@ -48,8 +48,8 @@ TEST(ParseValues, Regions) {
   ASSERT_TRUE(region.ok());
   EXPECT_EQ(region->x(), 1);
   EXPECT_EQ(region->height(), 40);
-  for (const char* text : {"1,2,0,4", "-1,2,3,4", "1,2,3", "1,2,3,4,5", "1,2,3,4x", "1,2,3,99999999",
-                           "1,2,3,x", ""}) {
+  for (const char* text : {"1,2,0,4", "-1,2,3,4", "1,2,3", "1,2,3,4,5", "1,2,3,4x", "1,2,3,x", "",
+                           "1,2,3,99999999"}) {
     EXPECT_FALSE(ParseRegion("--region", text).ok()) << text;
   }
 }
