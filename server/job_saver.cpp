@@ -83,13 +83,19 @@ void JobSaver::Write(JobId job, const Request& request) {
   }
   // The film first: a record that says DONE has a film.
   absl::Status status;
-  const auto film = host_->Read([&](const Coordinator& c) { return c.FilmOf(job); });
+  int64_t samples = 0;
+  const auto film = host_->Read([&](const Coordinator& c) {
+    auto of_job = c.FilmOf(job);
+    samples = of_job ? of_job->samples() : 0;
+    return of_job;
+  });
   if (film != nullptr && request.film) {
     status = films_->Save(job, film->grid().num_tiles(), [&](int64_t tile) {
       return host_->Read([&](const Coordinator&) { return film->Nodes(tile); });
     });
   }
   if (status.ok()) status = WriteRecord(job);
+  if (status.ok() && film != nullptr && request.film) host_->Post(FilmStoredEvent{job, samples});
   if (!status.ok()) ServerLog().error("job={} is not saved: {}", job, status.ToString());
 }
 

@@ -65,6 +65,11 @@ absl::Status CheckOptions(const ServiceOptions& options) {
   return absl::OkStatus();
 }
 
+bool HasEnded(v1::JobState state) {
+  return state == v1::JOB_STATE_DONE || state == v1::JOB_STATE_CANCELLED ||
+         state == v1::JOB_STATE_FAILED;
+}
+
 int64_t HalfOfMemory() {
   return int64_t{sysconf(_SC_PHYS_PAGES)} * sysconf(_SC_PAGESIZE) / 2;
 }
@@ -86,6 +91,8 @@ class Service::Impl : public EffectSink {
   absl::Status Restore();
   void MakeServices(const ServiceOptions& options);
   absl::Status Listen(const ServiceOptions& options);
+  // The job's film, from memory or disk; null if the job does not exist.
+  std::shared_ptr<const Film> FilmOf(JobId job);
   PictureSource MakePictureSource();
 
   void On(const SendEffect& e) { sessions_->Send(e.session, e.message); }
@@ -152,15 +159,38 @@ absl::Status Service::Impl::OpenStore(const ServiceOptions& options) {
   return absl::OkStatus();
 }
 
+std::shared_ptr<const Film> Service::Impl::FilmOf(JobId job) {
+  std::shared_ptr<const Film> film;
+  TileGrid grid;
+  const bool exists = host_->Read([&](const Coordinator& c) {
+    const absl::StatusOr<v1::Job> record = c.GetJob(job);
+    if (!record.ok()) return false;
+    grid = TileGrid(RegionOf(record->settings()), record->settings().tile_size());
+    film = c.FilmOf(job);
+    return true;
+  });
+  if (!exists || film != nullptr) return film;
+  auto loaded = films_->Load(job, grid);
+  if (loaded.ok()) return *std::move(loaded);
+  if (!absl::IsNotFound(loaded.status())) {
+    ServerLog().error("job={} {}", job, loaded.status().ToString());
+  }
+  return std::make_shared<const Film>(grid);
+}
+
 PictureSource Service::Impl::MakePictureSource() {
   PictureSource source;
-  source.view = [this](JobId job) {
-    return host_->Read([&](const Coordinator& c) -> std::unique_ptr<PictureSource::JobView> {
+  source.view = [this](JobId job) -> std::unique_ptr<PictureSource::JobView> {
+    PictureSource::JobView view;
+    const bool exists = host_->Read([&](const Coordinator& c) {
       const absl::StatusOr<v1::Job> record = c.GetJob(job);
-      if (!record.ok()) return nullptr;
-      return std::make_unique<PictureSource::JobView>(PictureSource::JobView{
-          record->settings(), record->progress().committed_spp(), c.FilmOf(job)});
+      if (!record.ok()) return false;
+      view = {record->settings(), record->progress().committed_spp(), c.FilmOf(job)};
+      return true;
     });
+    if (exists && view.film == nullptr) view.film = FilmOf(job);
+    if (view.film == nullptr) return nullptr;
+    return std::make_unique<PictureSource::JobView>(std::move(view));
   };
   source.fold_tile = [this](const Film& film, int64_t tile) {
     return host_->Read([&](const Coordinator&) { return film.Fold(tile); });
@@ -202,7 +232,8 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
       std::make_unique<JobService>(*host_, *assets_, *watchers_, config_.defaults,
                                    [this](JobId job) { return saver_->SaveNow(job); });
   asset_service_ = std::make_unique<AssetService>(*assets_);
-  image_service_ = std::make_unique<ImageService>(*host_, *pictures_);
+  image_service_ = std::make_unique<ImageService>(
+      *host_, *pictures_, [this](JobId job) { return FilmOf(job); });
   worker_service_ = std::make_unique<WorkerService>(*host_, *sessions_);
   saver_->Start(host_.get());
 }
@@ -218,8 +249,10 @@ absl::Status Service::Impl::Restore() {
       continue;
     }
     const v1::JobSettings& settings = event.job.settings();
-    auto film = films_->Load(row.job, TileGrid(RegionOf(settings), settings.tile_size()));
-    if (film.ok()) event.film = *std::move(film);
+    if (!HasEnded(event.job.state())) {
+      auto film = films_->Load(row.job, TileGrid(RegionOf(settings), settings.tile_size()));
+      if (film.ok()) event.film = *std::move(film);
+    }
     std::vector<Sha256Digest> digests;
     for (const v1::AssetRef& asset : settings.assets()) {
       digests.push_back(*Sha256FromBytes(asset.sha256()));

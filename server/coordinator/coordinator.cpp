@@ -97,7 +97,10 @@ std::vector<v1::Worker> Coordinator::ListWorkers(Instant now) const {
 
 std::shared_ptr<const Film> Coordinator::FilmOf(JobId id) const {
   const auto it = jobs_.find(id);
-  return it == jobs_.end() ? nullptr : it->second->film;
+  if (it == jobs_.end() || (it->second->film_final_stored && it->second->IsTerminal())) {
+    return nullptr;
+  }
+  return it->second->film;
 }
 
 std::string Coordinator::RequestIdOf(JobId id) const {

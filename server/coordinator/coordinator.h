@@ -54,8 +54,8 @@ class Coordinator {
   std::vector<v1::Job> ListJobs(JobId after, size_t limit) const;
   std::vector<v1::Worker> ListWorkers(Instant now) const;
 
-  // The job's film; null if the job does not exist. Read it only where Step cannot run, or after
-  // FinishJobEffect.
+  // The job's film; null if the job does not exist, or has ended and its film is on disk only. Read
+  // it only where Step cannot run, or after FinishJobEffect.
   std::shared_ptr<const Film> FilmOf(JobId job) const;
   // The request_id that created the job; empty if there was none.
   std::string RequestIdOf(JobId job) const;
@@ -79,6 +79,7 @@ class Coordinator {
   void On(CreateJobEvent& event);
   void On(JobCommandEvent& event);
   void On(RestoreJobEvent& event);
+  void On(FilmStoredEvent& event);
   void On(WorkerConnectedEvent& event);
   void On(WorkerGoneEvent& event);
   void On(DeltaEvent& event);
@@ -108,6 +109,7 @@ class Coordinator {
   void Touch(Job& job);
   void Save(Job& job, bool with_film);
   void UpdateProgress(Job& job);
+  void DropStoredFilm(Job& job);
 
   // Merging and stopping (coordinator_merge.cpp).
   absl::Status CheckDelta(const Job& job, const DeltaEvent& event) const;

@@ -124,7 +124,10 @@ void Coordinator::On(RestoreJobEvent& event) {
   result_.job = job->id;
   Job& added = *jobs_.emplace(*id, std::move(job)).first->second;
   Touch(added);
-  if (added.IsTerminal()) return;
+  if (added.IsTerminal()) {
+    added.film_final_stored = true;
+    return;
+  }
   UpdateProgress(added);
   if (added.record.state() == v1::JOB_STATE_FINISHING) {
     Finish(added, added.record.stop_reason());
@@ -134,6 +137,20 @@ void Coordinator::On(RestoreJobEvent& event) {
     SetState(added, v1::JOB_STATE_QUEUED);
     StartQueue(added);
   }
+}
+
+void Coordinator::On(FilmStoredEvent& event) {
+  Job* const job = FindJob(event.job);
+  if (job == nullptr || job->queue != nullptr || event.samples != job->film->samples()) return;
+  job->film_final_stored = true;
+  DropStoredFilm(*job);
+}
+
+// Frees the memory of a film that nobody changes any more and that can be read from disk.
+void Coordinator::DropStoredFilm(Job& job) {
+  if (!job.film_final_stored || !job.IsTerminal()) return;
+  job.film = std::make_shared<Film>(job.grid);
+  waiting_changed_ = true;
 }
 
 void Coordinator::StartQueue(Job& job) {
@@ -237,6 +254,7 @@ void Coordinator::On(JobFinishedEvent& event) {
   SetState(*job, job->record.stop_reason() == v1::STOP_REASON_CANCELLED ? v1::JOB_STATE_CANCELLED
                                                                        : v1::JOB_STATE_DONE);
   Save(*job, false);
+  DropStoredFilm(*job);
 }
 
 void Coordinator::Fail(Job& job, const std::string& error) {

@@ -36,6 +36,7 @@ struct Coordinator::Job {
   bool evaluating = false;                           // EvaluatePictureEffect is under way
   int64_t saved_film_ms = 0;
   bool film_changed = false;  // since it was saved
+  bool film_final_stored = false;  // it is on disk as it will stay
   std::string last_decline;   // what the last worker said that declined
 
   bool IsTerminal() const {

@@ -42,7 +42,12 @@ struct JobCommandEvent {
 struct RestoreJobEvent {
   v1::Job job;
   std::string request_id;
-  std::shared_ptr<Film> film;
+  std::shared_ptr<Film> film;  // not needed for a job that has ended
+};
+// The film was written to disk, with at least the `samples` that it had when that began.
+struct FilmStoredEvent {
+  JobId job = 0;
+  int64_t samples = 0;
 };
 
 // Workers.
@@ -96,8 +101,9 @@ struct JobFinishedEvent {
 struct TickEvent {};
 
 using Event =
-    std::variant<CreateJobEvent, JobCommandEvent, RestoreJobEvent, WorkerConnectedEvent,
-                 WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent, SceneReadyEvent,
-                 SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent, TickEvent>;
+    std::variant<CreateJobEvent, JobCommandEvent, RestoreJobEvent, FilmStoredEvent,
+                 WorkerConnectedEvent, WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
+                 SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent,
+                 TickEvent>;
 
 }  // namespace tessera

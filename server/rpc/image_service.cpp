@@ -101,9 +101,11 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
 
 class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
  public:
-  FilmReactor(CoordinatorHost* host, const std::string& job) : host_(host) {
+  FilmReactor(CoordinatorHost* host, const ImageService::FilmSource& film_of,
+              const std::string& job)
+      : host_(host) {
     const absl::StatusOr<JobId> id = ParseJobName(job);
-    if (id.ok()) film_ = host_->Read([&](const Coordinator& c) { return c.FilmOf(*id); });
+    if (id.ok()) film_ = film_of(*id);
     if (film_ != nullptr) {
       WriteNext();
     } else {
@@ -153,7 +155,7 @@ grpc::ServerWriteReactor<v1::GetImageResponse>* ImageService::GetImage(
 
 grpc::ServerWriteReactor<v1::GetFilmResponse>* ImageService::GetFilm(
     grpc::CallbackServerContext*, const v1::GetFilmRequest* request) {
-  return new FilmReactor(&host_, request->job());
+  return new FilmReactor(&host_, film_of_, request->job());
 }
 
 }  // namespace tessera

@@ -9,9 +9,11 @@ namespace tessera {
 
 class ImageService final : public v1::ImageService::CallbackService {
  public:
-  // Both must outlive the service.
-  ImageService(CoordinatorHost& host, PictureService& pictures)
-      : host_(host), pictures_(pictures) {}
+  // The film of a job, from memory or disk; null if the job does not exist.
+  using FilmSource = std::function<std::shared_ptr<const Film>(JobId)>;
+  // References must outlive the service.
+  ImageService(CoordinatorHost& host, PictureService& pictures, FilmSource film_of)
+      : host_(host), pictures_(pictures), film_of_(std::move(film_of)) {}
 
   grpc::ServerWriteReactor<v1::GetImageResponse>* GetImage(
       grpc::CallbackServerContext* context, const v1::GetImageRequest* request) override;
@@ -21,6 +23,7 @@ class ImageService final : public v1::ImageService::CallbackService {
  private:
   CoordinatorHost& host_;
   PictureService& pictures_;
+  const FilmSource film_of_;
 };
 
 }  // namespace tessera

@@ -124,6 +124,30 @@ class ServiceFixture : public testing::Test {
     EXPECT_TRUE(reader->Finish().ok());
     return count;
   }
+  // All nodes of the job's film, put together again.
+  Film FetchFilm(const v1::Job& job) {
+    grpc::ClientContext context;
+    v1::GetFilmRequest request;
+    request.set_job(job.name());
+    const auto reader = images->GetFilm(&context, request);
+    v1::GetFilmResponse response;
+    const TileGrid grid(RegionOf(job.settings()), job.settings().tile_size());
+    Film film(grid);
+    while (reader->Read(&response)) {
+      const v1::FilmNode& node = response.node();
+      absl::StatusOr<TileStatistics> tile =
+          DecodeDelta(RectOf(node.window()), {node.sample_begin(), node.sample_end()},
+                      node.encoding(), node.payload());
+      if (!tile.ok()) {
+        ADD_FAILURE() << tile.status();
+        break;
+      }
+      const int64_t index = grid.TilesIn(RectOf(node.window())).at(0);
+      EXPECT_TRUE(film.Accept(index, *std::move(tile)).ok());
+    }
+    EXPECT_TRUE(reader->Finish().ok());
+    return film;
+  }
 
   std::unique_ptr<Service> service;
   std::shared_ptr<grpc::Channel> channel;

@@ -75,23 +75,7 @@ TEST_F(ServiceTest, TheFilmOfAJobIsFetchedWhole) {
   SyntheticWorker worker(channel);
   v1::Job last;
   Watch(job.name(), &last);
-  grpc::ClientContext context;
-  v1::GetFilmRequest request;
-  request.set_job(job.name());
-  const auto reader = images->GetFilm(&context, request);
-  v1::GetFilmResponse response;
-  const TileGrid grid(RegionOf(settings), settings.tile_size());
-  Film film(grid);
-  while (reader->Read(&response)) {
-    const v1::FilmNode& node = response.node();
-    absl::StatusOr<TileStatistics> tile =
-        DecodeDelta(RectOf(node.window()), {node.sample_begin(), node.sample_end()},
-                    node.encoding(), node.payload());
-    ASSERT_TRUE(tile.ok()) << tile.status();
-    ASSERT_TRUE(film.Accept(grid.TilesIn(RectOf(node.window())).at(0), *std::move(tile)).ok());
-  }
-  ASSERT_TRUE(reader->Finish().ok());
-  EXPECT_EQ(ToBytes(film.Digest()), last.digest());
+  EXPECT_EQ(ToBytes(FetchFilm(last).Digest()), last.digest());
 }
 
 TEST_F(ServiceTest, CancelEndsTheWatch) {
@@ -234,6 +218,8 @@ TEST_F(ServiceTest, JobsSurviveARestart) {
   EXPECT_EQ(restored.state(), v1::JOB_STATE_DONE);
   EXPECT_EQ(restored.digest(), last.digest());
   EXPECT_EQ(restored.revision().incarnation(), 2u);
+  const Film film = FetchFilm(restored);
+  EXPECT_EQ(ToBytes(film.Digest()), last.digest());
   SyntheticWorker worker(channel);
   Watch(queued.name(), &last);
   EXPECT_EQ(last.digest(), ExpectedDigest(other, 6));
