@@ -34,7 +34,7 @@ configure_package_config_file(
   ${PROJECT_SOURCE_DIR}/cmake/tesseraConfig.cmake.in ${PROJECT_BINARY_DIR}/tesseraConfig.cmake
   INSTALL_DESTINATION ${tessera_package})
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/tesseraConfigVersion.cmake
-  COMPATIBILITY ExactVersion)  # clients and servers of one build belong together
+  COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/tesseraConfig.cmake
   ${PROJECT_BINARY_DIR}/tesseraConfigVersion.cmake
   DESTINATION ${tessera_package} COMPONENT development)
