@@ -14,13 +14,13 @@ TESSERA = os.environ["TESSERA"]
 SERVER = os.environ["TESSERA_SERVER"]
 WORKER = os.environ["TESSERA_WORKER"]
 TIMEOUT_SECONDS = 100
+POSITIONS = struct.pack("<9f", -1, -1, 0, 1, -1, 0, 0, 1, 0)
 
 
 def triangle_gltf(buffer_uri=None):
     """A lit triangle in front of a camera, as the text of a .gltf."""
-    positions = struct.pack("<9f", -1, -1, 0, 1, -1, 0, 0, 1, 0)
     uri = buffer_uri or "data:application/octet-stream;base64," + base64.b64encode(
-        positions).decode()
+        POSITIONS).decode()
     return json.dumps({
         "asset": {"version": "2.0"},
         "scene": 0,
