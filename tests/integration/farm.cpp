@@ -1,5 +1,7 @@
 #include "tests/integration/farm.h"
 
+#include <grpcpp/create_channel.h>
+
 #include <atomic>
 #include <cstdio>
 #include <cstdlib>
@@ -7,8 +9,6 @@
 #include <fstream>
 #include <iterator>
 #include <utility>
-
-#include <grpcpp/create_channel.h>
 
 #include "core/base/sha256.h"
 
@@ -187,7 +187,8 @@ ServerProcess::ServerProcess(const std::string& data_dir, int port) {
   std::filesystem::remove(port_file);
   process_ = std::make_unique<ChildProcess>(
       std::vector<std::string>{TESSERA_SERVER, "--listen", "127.0.0.1:" + std::to_string(port),
-                               "--http", "127.0.0.1:0", "--data-dir", data_dir + "/data", "--port-file", port_file},
+                               "--http", "127.0.0.1:0", "--data-dir", data_dir + "/data",
+                               "--port-file", port_file},
       data_dir + "/server.log");
   const bool started = Eventually([&] {
     std::ifstream file(port_file);  // first line: the gRPC port, "grpc PORT"

@@ -2,6 +2,8 @@
 // a plain client of the RPCs.
 #pragma once
 
+#include <grpcpp/channel.h>
+
 #include <chrono>
 #include <functional>
 #include <memory>
@@ -9,8 +11,6 @@
 #include <string>
 #include <thread>
 #include <vector>
-
-#include <grpcpp/channel.h>
 
 #include "server/service.h"
 #include "tessera/v1/asset.grpc.pb.h"

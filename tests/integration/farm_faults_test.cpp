@@ -1,4 +1,6 @@
 // What bad peers may not do: grow the server's memory, stop it, or touch other jobs.
+#include <grpcpp/create_channel.h>
+#include <gtest/gtest.h>
 #include <netinet/in.h>
 #include <signal.h>
 #include <sys/socket.h>
@@ -6,9 +8,6 @@
 
 #include <string>
 #include <thread>
-
-#include <grpcpp/create_channel.h>
-#include <gtest/gtest.h>
 
 #include "core/base/version.h"
 #include "tests/integration/farm.h"
@@ -67,7 +66,7 @@ TEST_F(FarmFaults, AServerToldToStopEndsWatchesAndExitsCleanly) {
 }
 
 TEST_F(FarmFaults, SlowWatchersDoNotGrowMemory) {
-  // Watchers that never read, on a job whose messages are large (its settings are repeated in each).
+  // Watchers that never read, on a job whose messages are large (each repeats its settings).
   v1::AssetRef scene = client_.UploadScene(kSceneName);
   v1::JobSettings settings = SmallJob(scene, kSpp, 16);
   for (int i = 0; i < 200; ++i) {
@@ -244,12 +243,10 @@ TEST_F(FarmFaults, RogueClientsGetAnErrorAndLeaveOtherJobsAlone) {
   EXPECT_EQ(client_.Create(settings, &refused).error_code(), grpc::StatusCode::INVALID_ARGUMENT);
   settings = SmallJob(scene, 16, 16);
   settings.mutable_assets(0)->set_sha256(std::string(32, 'q'));
-  EXPECT_EQ(client_.Create(settings, &refused).error_code(),
-            grpc::StatusCode::FAILED_PRECONDITION);
+  EXPECT_EQ(client_.Create(settings, &refused).error_code(), grpc::StatusCode::FAILED_PRECONDITION);
   settings = SmallJob(scene, 16, 16);
   settings.set_denoiser(std::string(8 << 20, 'd'));  // larger than any message may be
-  EXPECT_EQ(client_.Create(settings, &refused).error_code(),
-            grpc::StatusCode::RESOURCE_EXHAUSTED);
+  EXPECT_EQ(client_.Create(settings, &refused).error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED);
 
   grpc::ClientContext context;  // an upload whose bytes are not those of its digest
   v1::WriteAssetResponse response;
@@ -280,9 +277,9 @@ TEST_F(FarmFaults, ABadSceneFailsItsJobOnly) {
 }
 
 TEST_F(FarmFaults, ASceneBeyondOneWorkersMemoryGoesToAnother) {
-  ChildProcess small({TESSERA_WORKER, "--server", server_.address(), "--threads", "1", "--memory",
-                      "1000"},
-                     directory_.path() + "/small.log");
+  ChildProcess small(
+      {TESSERA_WORKER, "--server", server_.address(), "--threads", "1", "--memory", "1000"},
+      directory_.path() + "/small.log");
   ASSERT_TRUE(Eventually([&] { return client_.Workers().size() == 1; }));
   const std::string job = Begin(16);
   const auto large = StartWorker();

@@ -1,5 +1,6 @@
 // C2: the same job gives the same bits, whoever renders it, in whatever pieces and order, and
 // whoever dies on the way.
+#include <gtest/gtest.h>
 #include <signal.h>
 
 #include <algorithm>
@@ -8,8 +9,6 @@
 #include <string>
 #include <tuple>
 #include <vector>
-
-#include <gtest/gtest.h>
 
 #include "core/base/tile_grid.h"
 #include "core/film/film.h"
@@ -45,10 +44,9 @@ std::string BareDigest(int64_t spp, int tile_size, Partition partition) {
   ref.set_name(std::string(kSceneName) + ".glb");
   const v1::JobSettings settings = SmallJob(ref, spp, tile_size);
   const auto bytes = std::make_shared<const std::string>(ReadFile(ScenePath(kSceneName)));
-  auto scene = LoadScene(SceneRequestOf(settings, 0),
-                         [&](const std::string&) -> absl::StatusOr<decltype(bytes)> {
-                           return bytes;
-                         });
+  auto scene =
+      LoadScene(SceneRequestOf(settings, 0),
+                [&](const std::string&) -> absl::StatusOr<decltype(bytes)> { return bytes; });
   if (!scene.ok()) return scene.status().ToString();
   const auto tracer = PathTracer::Create(*std::move(scene), RenderSettingsOf(settings, 1));
   if (!tracer.ok()) return tracer.status().ToString();
@@ -99,9 +97,8 @@ TEST_P(Embedded, AnyThreadsAndTiles) {
   const auto channel = (*service)->InProcessChannel();
   ThreadWorker worker(channel, threads, /*same_process=*/true);
   RpcClient client(channel);
-  const v1::Job job =
-      client.Watch(client.MustCreate(SmallJob(client.UploadScene(kSceneName), kSpp, tile_size))
-                       .name());
+  const v1::Job job = client.Watch(
+      client.MustCreate(SmallJob(client.UploadScene(kSceneName), kSpp, tile_size)).name());
   EXPECT_EQ(job.state(), v1::JOB_STATE_DONE) << job.error();
   EXPECT_EQ(HexDigest(job), Expected(kSpp));
   EXPECT_EQ(job.progress().samples(), 96 * 64 * kSpp);
@@ -148,8 +145,8 @@ class Processes : public testing::Test {
   }
   // Until some samples, but not all, are merged.
   void WaitUntilUnderWay(const std::string& job) {
-    const v1::Job now = client_->WatchUntil(
-        job, [](const v1::Job& j) { return j.progress().samples() > 0; });
+    const v1::Job now =
+        client_->WatchUntil(job, [](const v1::Job& j) { return j.progress().samples() > 0; });
     ASSERT_EQ(now.state(), v1::JOB_STATE_RUNNING) << now.error();
     ASSERT_LT(now.progress().samples(), 96 * 64 * kLongSpp);
   }

@@ -41,8 +41,8 @@ absl::StatusOr<Blob> AssetFetcher::Fetch(const v1::AssetRef& asset) {
     absl::Status status = ReadOnce(asset, bytes.get());
     if (status.ok() && static_cast<int64_t>(bytes->size()) == asset.size_bytes()) break;
     if (status.ok()) {
-      status = absl::UnavailableError(absl::StrCat(Describe(asset), ": the server sent only ",
-                                                   bytes->size(), " bytes"));
+      status = absl::UnavailableError(
+          absl::StrCat(Describe(asset), ": the server sent only ", bytes->size(), " bytes"));
     }
     if (absl::IsCancelled(status) || absl::IsNotFound(status) || absl::IsDataLoss(status)) {
       return status;
@@ -55,8 +55,8 @@ absl::StatusOr<Blob> AssetFetcher::Fetch(const v1::AssetRef& asset) {
     if (!Wait(backoff.Next())) return absl::CancelledError("interrupted");
   }
   if (Sha256Of(*bytes) != *digest) {
-    return absl::DataLossError(
-        absl::StrCat(Describe(asset), ": the server's bytes have another SHA-256; upload it again"));
+    return absl::DataLossError(absl::StrCat(
+        Describe(asset), ": the server's bytes have another SHA-256; upload it again"));
   }
   cache_.Add(*digest, bytes);
   return Blob(std::move(bytes));
@@ -79,9 +79,9 @@ absl::Status AssetFetcher::ReadOnce(const v1::AssetRef& asset, std::string* byte
   while (error.ok() && reader->Read(&response)) {
     if (response.offset_bytes() != static_cast<int64_t>(bytes->size()) ||
         static_cast<int64_t>(bytes->size() + response.chunk().size()) > asset.size_bytes()) {
-      error = absl::DataLossError(absl::StrCat(
-          Describe(asset), ": the server sent bytes at ", response.offset_bytes(), " instead of ",
-          bytes->size(), " or beyond the end"));
+      error = absl::DataLossError(absl::StrCat(Describe(asset), ": the server sent bytes at ",
+                                               response.offset_bytes(), " instead of ",
+                                               bytes->size(), " or beyond the end"));
       context.TryCancel();
       break;
     }

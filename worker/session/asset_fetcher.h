@@ -2,12 +2,12 @@
 // it stopped, verifies the SHA-256, and keeps what was fetched in a cache that jobs share.
 #pragma once
 
+#include <grpcpp/channel.h>
+#include <grpcpp/client_context.h>
+
 #include <condition_variable>
 #include <memory>
 #include <mutex>
-
-#include <grpcpp/channel.h>
-#include <grpcpp/client_context.h>
 
 #include "absl/status/statusor.h"
 #include "tessera/v1/asset.grpc.pb.h"

@@ -1,9 +1,9 @@
 // Refuses a processor that cannot run this build, before any other code of the program runs: the
 // rest is compiled for x86-64-v3 and would die of an illegal instruction. Compiled for plain
 // x86-64 (see CMakeLists.txt).
-#include <cstdlib>
-
 #include <unistd.h>
+
+#include <cstdlib>
 
 namespace {
 

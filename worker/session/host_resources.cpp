@@ -1,5 +1,7 @@
 #include "worker/session/host_resources.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <array>
 #include <cctype>
@@ -7,8 +9,6 @@
 #include <cmath>
 #include <fstream>
 #include <thread>
-
-#include <unistd.h>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
@@ -37,8 +37,8 @@ absl::StatusOr<int64_t> ParseByteSize(std::string_view text) {
         "'", std::string(text), "' is not a size; write bytes or, for example, 512M, 8G or 1.5T"));
   };
   double number = 0;
-  const auto [end, code] = std::from_chars(text.data(), text.data() + text.size(), number,
-                                           std::chars_format::fixed);
+  const auto [end, code] =
+      std::from_chars(text.data(), text.data() + text.size(), number, std::chars_format::fixed);
   if (code != std::errc() || !(number >= 0)) return error();
   std::string_view unit(end, static_cast<size_t>(text.data() + text.size() - end));
   constexpr std::string_view kUnits = "KMGT";

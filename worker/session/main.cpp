@@ -1,16 +1,17 @@
 // tessera-worker: renders for a coordinator until it is told to stop.
-// Exit codes: 0 drained, 2 bad input or refused, 3 server unavailable, 4 interrupted twice, 1 a bug.
+// Exit codes: 0 drained, 2 bad input or refused, 3 server unavailable, 4 interrupted twice,
+// 1 a bug.
+#include <spdlog/sinks/stdout_color_sinks.h>
+#include <spdlog/spdlog.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
 #include <csignal>
 #include <cstdlib>
 #include <iostream>
 #include <stop_token>
 #include <string>
 #include <thread>
-
-#include <CLI/CLI.hpp>
-#include <spdlog/sinks/stdout_color_sinks.h>
-#include <spdlog/spdlog.h>
-#include <unistd.h>
 
 #include "core/base/version.h"
 #include "worker/session/address.h"
@@ -102,7 +103,7 @@ int Main(int argc, char** argv) {
   spdlog::set_default_logger(spdlog::stderr_color_mt("worker"));
   spdlog::set_level(flags.verbose ? spdlog::level::debug : spdlog::level::info);
   flags.worker.log = [](LogLevel level, const std::string& line) {
-    spdlog::log(level == LogLevel::kDebug   ? spdlog::level::debug
+    spdlog::log(level == LogLevel::kDebug  ? spdlog::level::debug
                 : level == LogLevel::kInfo ? spdlog::level::info
                                            : spdlog::level::warn,
                 "{}", line);

@@ -47,9 +47,9 @@ class RenderPool {
   const Done done_;
   std::mutex mu_;
   std::condition_variable cv_;
-  std::deque<std::shared_ptr<Task>> queue_;           // guarded by mu_
-  std::map<uint64_t, std::shared_ptr<Task>> alive_;   // guarded by mu_; queued and running
-  bool stopping_ = false;                             // guarded by mu_
+  std::deque<std::shared_ptr<Task>> queue_;          // guarded by mu_
+  std::map<uint64_t, std::shared_ptr<Task>> alive_;  // guarded by mu_; queued and running
+  bool stopping_ = false;                            // guarded by mu_
   std::vector<std::thread> threads_;
 };
 

@@ -43,9 +43,9 @@ BuildOutcome OutcomeOfBuildError(const absl::Status& error) {
 }
 
 BuildOutcome OutcomeOfFetchError(const absl::Status& error) {
-  return Failure(absl::IsCancelled(error) ? BuildOutcome::Kind::kCancelled
-                                          : BuildOutcome::Kind::kAssets,
-                 error);
+  return Failure(
+      absl::IsCancelled(error) ? BuildOutcome::Kind::kCancelled : BuildOutcome::Kind::kAssets,
+      error);
 }
 
 SceneBuilder::SceneBuilder(RendererFactory& factory, AssetFetcher& fetcher, int64_t memory_bytes,
@@ -105,9 +105,9 @@ BuildOutcome SceneBuilder::BuildNow(const v1::JobSettings& settings,
   const int64_t asset_bytes = TotalBytes(settings);
   if (memory_bytes_ > 0 && asset_bytes > memory_bytes_) {
     return Failure(BuildOutcome::Kind::kMemory,
-                   absl::ResourceExhaustedError(
-                       absl::StrCat("the scene's files have ", asset_bytes,
-                                    " bytes, this worker has room for ", memory_bytes_)));
+                   absl::ResourceExhaustedError(absl::StrCat("the scene's files have ", asset_bytes,
+                                                             " bytes, this worker has room for ",
+                                                             memory_bytes_)));
   }
   std::map<std::string, Blob> blobs;
   for (const v1::AssetRef& asset : settings.assets()) {

@@ -1,5 +1,5 @@
 // Builds one scene at a time on a thread of its own: fetches all files of the job, then lets the
-// renderer load them. Fetching comes first, so that a broken link is never taken for a broken scene.
+// renderer load them. Fetching comes first: a broken link is never taken for a broken scene.
 #pragma once
 
 #include <atomic>

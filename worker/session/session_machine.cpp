@@ -136,9 +136,8 @@ void SessionMachine::OnWelcome(const v1::Welcome& welcome) {
   failed_attempts_ = 0;
   welcome_time_ = now_;
   const milliseconds ttl = ToMilliseconds(welcome.lease_ttl());
-  heartbeat_interval_ = welcome.has_heartbeat_interval()
-                            ? ToMilliseconds(welcome.heartbeat_interval())
-                            : ttl / 3;
+  heartbeat_interval_ =
+      welcome.has_heartbeat_interval() ? ToMilliseconds(welcome.heartbeat_interval()) : ttl / 3;
   heartbeat_interval_ = std::clamp(heartbeat_interval_, milliseconds(50), milliseconds(60000));
   heartbeat_time_ = now_ + heartbeat_interval_;
   LogLine(absl::StrCat("connected as ", welcome.worker()));
@@ -195,6 +194,7 @@ void SessionMachine::ForgetJob(const std::string& name) {
 
 void SessionMachine::On(const session_event::WriteDone& event) {
   write_in_flight_ = false;
+  renders_may_start_ = true;  // room for another delta
   if (event.ok || aborted_) return;
   aborted_ = true;  // StreamClosed will tell the reason
   Emit(AbortStream{});
@@ -223,9 +223,9 @@ void SessionMachine::On(const session_event::StreamClosed& event) {
   if (!welcomed && ++failed_attempts_ >= options_.connect_attempts_max &&
       options_.connect_attempts_max > 0) {
     phase_ = Phase::kFinished;
-    Emit(Finish{absl::UnavailableError(absl::StrCat(
-        "no server after ", failed_attempts_, " attempts: ", reason,
-        "; is tessera-server running there?"))});
+    Emit(Finish{absl::UnavailableError(absl::StrCat("no server after ", failed_attempts_,
+                                                    " attempts: ", reason,
+                                                    "; is tessera-server running there?"))});
     return;
   }
   const milliseconds wait = backoff_.Next();
@@ -251,6 +251,7 @@ void SessionMachine::On(session_event::Rendered& event) {
   if (task == tasks_.end()) return;
   const uint64_t lease_id = task->second;
   tasks_.erase(task);
+  renders_may_start_ = true;
   if (lease_id == 0) return;
   if (!event.delta.ok()) {
     Decline(lease_id, v1::DeclineLease::REASON_UNSPECIFIED,
@@ -287,9 +288,8 @@ void SessionMachine::On(const session_event::Timer&) {
   }
   if (phase_ == Phase::kServing && now_ >= heartbeat_time_) {
     heartbeat_time_ = now_ + heartbeat_interval_;
-    const bool queued = std::any_of(control_.begin(), control_.end(), [](const auto& message) {
-      return message.has_heartbeat();
-    });
+    const bool queued = std::any_of(control_.begin(), control_.end(),
+                                    [](const auto& message) { return message.has_heartbeat(); });
     if (queued) return;  // the link is slow: it will carry the newest list when it moves
     control_.emplace_front().mutable_heartbeat();  // filled when it is written
   }
@@ -318,13 +318,14 @@ void SessionMachine::On(const session_event::StopRequested&) {
 
 void SessionMachine::Advance() {
   if (phase_ == Phase::kServing) {
-    StartRenders();
+    if (renders_may_start_) StartRenders();
     FinishDrain();
   }
   if (phase_ == Phase::kServing || phase_ == Phase::kConnecting) WriteNext();
 }
 
 void SessionMachine::StartRenders() {
+  renders_may_start_ = false;
   // One lease more per thread than are rendered, so that no thread waits for this machine; as many
   // finished deltas as that may wait for the link.
   const auto ahead = static_cast<size_t>(2 * options_.threads);

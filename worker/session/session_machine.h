@@ -209,11 +209,11 @@ class SessionMachine {
 
   Phase phase_ = Phase::kWaiting;
   bool draining_ = false;
-  bool stream_open_ = false;     // between OpenStream and StreamClosed
-  bool aborted_ = false;         // AbortStream was emitted for this stream
+  bool stream_open_ = false;  // between OpenStream and StreamClosed
+  bool aborted_ = false;      // AbortStream was emitted for this stream
   bool write_in_flight_ = false;
   bool drain_sent_ = false;
-  int failed_attempts_ = 0;      // in a row, without a Welcome
+  int failed_attempts_ = 0;              // in a row, without a Welcome
   std::optional<SessionTime> deadline_;  // of the phase: reconnect, welcome or close
   SessionTime welcome_time_;
   std::chrono::milliseconds heartbeat_interval_{1000};
@@ -226,7 +226,8 @@ class SessionMachine {
   uint64_t use_counter_ = 0;
 
   std::map<uint64_t, HeldLease> leases_;
-  std::deque<uint64_t> waiting_;        // lease ids in order of arrival
+  std::deque<uint64_t> waiting_;    // lease ids in order of arrival
+  bool renders_may_start_ = false;  // something has changed that may let a waiting lease start
   uint64_t last_task_ = 0;
   std::map<uint64_t, uint64_t> tasks_;  // running task -> lease id, 0 = cancelled
 

@@ -36,7 +36,9 @@ void SessionMachine::SettleLease(uint64_t id, HeldLease& held) {
   SceneEntry& scene = found->second;
   switch (scene.state) {
     case SceneEntry::State::kBuilding:
+      break;
     case SceneEntry::State::kReady:
+      renders_may_start_ = true;
       break;
     case SceneEntry::State::kCrowded:
       Decline(id, v1::DeclineLease::REASON_ASSETS,
@@ -71,9 +73,9 @@ void SessionMachine::On(session_event::SceneBuilt& event) {
   switch (scene.outcome.kind) {
     case BuildOutcome::Kind::kReady: {
       const int64_t bytes = scene.outcome.report.memory_bytes();
-      LogLine(absl::StrCat("scene ", event.scene.substr(0, 12), " built: ",
-                           scene.outcome.report.triangles(), " triangles, ", bytes >> 20,
-                           " MiB, ", scene.outcome.report.load_seconds(), " s"));
+      LogLine(absl::StrCat("scene ", event.scene.substr(0, 12),
+                           " built: ", scene.outcome.report.triangles(), " triangles, ",
+                           bytes >> 20, " MiB, ", scene.outcome.report.load_seconds(), " s"));
       if (options_.memory_bytes > 0 && bytes > options_.memory_bytes) {
         Emit(DropScene{event.scene});
         scene.state = SceneEntry::State::kFailed;

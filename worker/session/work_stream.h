@@ -1,13 +1,13 @@
 // One call of WorkerService.Work: gRPC's callbacks as session events. Translates, decides nothing.
 #pragma once
 
+#include <grpcpp/client_context.h>
+#include <grpcpp/support/client_callback.h>
+
 #include <condition_variable>
 #include <functional>
 #include <memory>
 #include <mutex>
-
-#include <grpcpp/client_context.h>
-#include <grpcpp/support/client_callback.h>
 
 #include "tessera/v1/worker.grpc.pb.h"
 #include "worker/session/session_machine.h"

@@ -1,5 +1,8 @@
 #include "worker/session/worker_session.h"
 
+#include <grpcpp/create_channel.h>
+#include <unistd.h>
+
 #include <chrono>
 #include <condition_variable>
 #include <deque>
@@ -7,9 +10,6 @@
 #include <mutex>
 #include <optional>
 #include <utility>
-
-#include <grpcpp/create_channel.h>
-#include <unistd.h>
 
 #include "core/base/version.h"
 #include "worker/session/asset_fetcher.h"
@@ -100,7 +100,7 @@ class WorkerSession::Impl {
   std::unique_ptr<v1::WorkerService::Stub> stub_;
   std::unique_ptr<RendererFactory> factory_;
   AssetFetcher fetcher_;
-  SessionMachine machine_;           // Run's thread only
+  SessionMachine machine_;              // Run's thread only
   std::optional<absl::Status> result_;  // Run's thread only
 
   std::mutex mu_;
@@ -119,16 +119,16 @@ class WorkerSession::Impl {
 absl::Status WorkerSession::Impl::Run() {
   const DeltaEncoding encoding =
       options_.same_process ? DeltaEncoding::kPacked : DeltaEncoding::kPackedZstd;
-  pool_ = std::make_unique<RenderPool>(
-      options_.threads, encoding, [this](uint64_t task, absl::StatusOr<v1::TileDelta> delta) {
-        Post(session_event::Rendered{task, std::move(delta)});
-      });
-  builder_ = std::make_unique<SceneBuilder>(
-      *factory_, fetcher_, options_.memory_bytes, options_.threads,
-      [this](const std::string& scene, BuildOutcome outcome,
-             std::shared_ptr<const Renderer> renderer) {
-        OnBuilt(scene, std::move(outcome), std::move(renderer));
-      });
+  pool_ = std::make_unique<RenderPool>(options_.threads, encoding,
+                                       [this](uint64_t task, absl::StatusOr<v1::TileDelta> delta) {
+                                         Post(session_event::Rendered{task, std::move(delta)});
+                                       });
+  builder_ =
+      std::make_unique<SceneBuilder>(*factory_, fetcher_, options_.memory_bytes, options_.threads,
+                                     [this](const std::string& scene, BuildOutcome outcome,
+                                            std::shared_ptr<const Renderer> renderer) {
+                                       OnBuilt(scene, std::move(outcome), std::move(renderer));
+                                     });
 
   SessionEvent event = session_event::Start{};
   while (!result_) {

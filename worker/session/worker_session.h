@@ -2,12 +2,12 @@
 // threads and streams deltas back; reconnects with back-off; drains on request.
 #pragma once
 
+#include <grpcpp/channel.h>
+
 #include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
-
-#include <grpcpp/channel.h>
 
 #include "absl/status/status.h"
 #include "worker/session/renderer.h"
@@ -16,12 +16,12 @@
 namespace tessera {
 
 struct WorkerOptions {
-  int threads = 0;              // 0 = all
-  int64_t memory_bytes = 0;     // for scenes; 0 = half of the machine's
-  bool same_process = false;    // embedded: payloads uncompressed
-  int connect_attempts_max = 0; // 0 = for ever
+  int threads = 0;                         // 0 = all
+  int64_t memory_bytes = 0;                // for scenes; 0 = half of the machine's
+  bool same_process = false;               // embedded: payloads uncompressed
+  int connect_attempts_max = 0;            // 0 = for ever
   int64_t cache_bytes = int64_t{1} << 30;  // of fetched files kept for the next scene
-  std::string name;             // shown by the server; empty = the host's name
+  std::string name;                        // shown by the server; empty = the host's name
   // One line about what happens; null = silent. Called on the thread of Run.
   std::function<void(LogLevel level, const std::string& line)> log;
 };

@@ -2,15 +2,15 @@
 // the system chooses.
 #pragma once
 
+#include <grpcpp/server.h>
+#include <grpcpp/server_builder.h>
+
 #include <atomic>
 #include <functional>
 #include <map>
 #include <memory>
 #include <string>
 #include <vector>
-
-#include <grpcpp/server.h>
-#include <grpcpp/server_builder.h>
 
 #include "core/base/sha256.h"
 #include "tessera/v1/asset.grpc.pb.h"

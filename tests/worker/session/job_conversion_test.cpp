@@ -1,11 +1,11 @@
 #include "worker/session/job_conversion.h"
 
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
 #include <cmath>
 #include <functional>
 #include <numbers>
-
-#include <gmock/gmock.h>
-#include <gtest/gtest.h>
 
 namespace tessera {
 namespace {
@@ -91,12 +91,9 @@ TEST(JobConversion, KeyDependsOnWhatARendererDependsOnAlone) {
   EXPECT_EQ(key.size(), 64u);
   using Change = std::function<void(v1::JobSettings&)>;
   const std::vector<Change> same = {
-      [](auto& s) { s.set_spp(1 << 20); },
-      [](auto& s) { s.mutable_region()->set_width(3); },
-      [](auto& s) { s.set_tile_size(64); },
-      [](auto& s) { s.set_priority(4); },
-      [](auto& s) { s.set_denoiser("none"); },
-      [](auto& s) { s.set_target_error(0.1); },
+      [](auto& s) { s.set_spp(1 << 20); },     [](auto& s) { s.mutable_region()->set_width(3); },
+      [](auto& s) { s.set_tile_size(64); },    [](auto& s) { s.set_priority(4); },
+      [](auto& s) { s.set_denoiser("none"); }, [](auto& s) { s.set_target_error(0.1); },
       [](auto& s) { s.set_isa("x86-64-v3"); },  // the default, spelt out
   };
   for (size_t i = 0; i < same.size(); ++i) {

@@ -1,11 +1,11 @@
 // The session's decisions, without network, threads or renderer.
 #include "worker/session/session_machine.h"
 
-#include <string>
-#include <vector>
-
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+
+#include <string>
+#include <vector>
 
 namespace tessera {
 namespace {
@@ -388,7 +388,7 @@ TEST(SessionMachine, LeasesThatNoOneCanRenderAreDeclined) {
   d.Serve();
   d.Job("jobs/1", Settings());
   d.Lease(1, "jobs/9");
-  d.Lease(2, "jobs/1", 1, 3);     // no node
+  d.Lease(2, "jobs/1", 1, 3);  // no node
   d.Lease(3, "jobs/1", -4, 0);
   d.Lease(4, "jobs/1", 16, 16);
   v1::CoordinatorMessage outside;

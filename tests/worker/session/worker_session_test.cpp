@@ -1,15 +1,15 @@
 // The session over real gRPC against a scripted server, with a renderer that counts.
 #include "worker/session/worker_session.h"
 
+#include <gmock/gmock.h>
+#include <grpcpp/create_channel.h>
+#include <gtest/gtest.h>
+
 #include <atomic>
 #include <future>
 #include <map>
 #include <mutex>
 #include <thread>
-
-#include <gmock/gmock.h>
-#include <grpcpp/create_channel.h>
-#include <gtest/gtest.h>
 
 #include "core/base/version.h"
 #include "core/film/delta_codec.h"
@@ -176,9 +176,9 @@ TEST_F(WorkerSessionTest, RendersLeasesAndDrains) {
   for (const auto& [id, delta] : deltas) {
     EXPECT_EQ(delta.encoding(), static_cast<uint32_t>(DeltaEncoding::kPackedZstd));
     EXPECT_EQ(delta.rays(), 3);
-    const auto tile = DecodeDelta(
-        PixelRect::FromSize(delta.window().x(), delta.window().y(), 16, 16),
-        {delta.sample_begin(), delta.sample_end()}, delta.encoding(), delta.payload());
+    const auto tile =
+        DecodeDelta(PixelRect::FromSize(delta.window().x(), delta.window().y(), 16, 16),
+                    {delta.sample_begin(), delta.sample_end()}, delta.encoding(), delta.payload());
     ASSERT_TRUE(tile.ok()) << tile.status();
     EXPECT_EQ(tile->Floats(0, kRadianceMean)[5],
               static_cast<float>(delta.window().x() + delta.sample_begin()));
@@ -298,7 +298,9 @@ TEST_F(WorkerSessionTest, AWrongVersionEndsTheSession) {
 
 TEST_F(WorkerSessionTest, NobodyThereIsUnavailable) {
   std::string address;
-  { address = FakeCoordinator([](int, Stream&) { return grpc::Status::OK; }).address(); }
+  {
+    address = FakeCoordinator([](int, Stream&) { return grpc::Status::OK; }).address();
+  }
   WorkerOptions options;
   options.connect_attempts_max = 2;
   WorkerSession lonely(MakeWorkerChannel(address), options, std::make_unique<FakeFactory>(log));
