@@ -1,5 +1,6 @@
 #include "client/cli/scene_submission.h"
 
+#include <algorithm>
 #include <optional>
 #include <utility>
 
@@ -13,32 +14,49 @@ namespace {
 // A server that was asked for room may have dropped an asset between the upload and the job.
 constexpr int kSubmitAttempts = 3;
 
-absl::StatusOr<v1::JobSettings> ReadSettings(const std::string& film_path) {
-  const absl::StatusOr<FilmFile> film = ReadFilmFile(film_path);
-  if (!film.ok()) return film.status();
-  return SettingsOfFilm(*film, film_path);
+struct FilmToContinue {
+  v1::JobSettings settings;
+  int64_t samples_end = 0;  // no pixel has a sample from here on
+};
+
+absl::StatusOr<FilmToContinue> ReadFilm(const std::string& path) {
+  const absl::StatusOr<FilmFile> file = ReadFilmFile(path);
+  if (!file.ok()) {
+    return absl::Status(file.status().code(),
+                        absl::StrCat("--continue: ", file.status().message()));
+  }
+  absl::StatusOr<v1::JobSettings> settings = SettingsOfFilm(*file, path);
+  if (!settings.ok()) return settings.status();
+  FilmToContinue film{*std::move(settings)};
+  for (const TileStatistics& node : file->nodes) {
+    film.samples_end = std::max(film.samples_end, node.range().end);
+  }
+  return film;
 }
 
 }  // namespace
 
 absl::StatusOr<SceneSubmission> PrepareSubmission(const SceneFlags& flags) {
-  std::optional<v1::JobSettings> film;
+  std::optional<FilmToContinue> film;
   if (!flags.continue_film.empty()) {
-    absl::StatusOr<v1::JobSettings> read = ReadSettings(flags.continue_film);
-    if (!read.ok()) {
-      return absl::Status(read.status().code(),
-                          absl::StrCat("--continue: ", read.status().message()));
-    }
+    absl::StatusOr<FilmToContinue> read = ReadFilm(flags.continue_film);
+    if (!read.ok()) return read.status();
     film = *std::move(read);
-    if (!film->environment().map_name().empty() && flags.env.empty() && flags.sky.empty()) {
+    const std::string& map_name = film->settings.environment().map_name();
+    if (!map_name.empty() && flags.env.empty() && flags.sky.empty()) {
       return absl::InvalidArgumentError(
-          absl::StrCat("--continue: the film was lit by the environment map ",
-                       film->environment().map_name(), ": name the file with --env"));
+          absl::StrCat("--continue: the film was lit by the environment map ", map_name,
+                       ": name the file with --env"));
     }
   }
   absl::StatusOr<v1::JobSettings> settings =
-      SettingsFromFlags(flags, film.has_value() ? &*film : nullptr);
+      SettingsFromFlags(flags, film.has_value() ? &film->settings : nullptr);
   if (!settings.ok()) return settings.status();
+  if (film.has_value() && settings->spp() < film->samples_end) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("--spp ", settings->spp(), ": the film has up to ", film->samples_end,
+                     " samples per pixel already; ask for at least as many"));
+  }
   absl::StatusOr<SceneAssets> assets = CollectAssets(flags.scene, flags.env);
   if (!assets.ok()) return assets.status();
   SceneSubmission submission;
@@ -46,7 +64,7 @@ absl::StatusOr<SceneSubmission> PrepareSubmission(const SceneFlags& flags) {
   submission.settings = *std::move(settings);
   submission.files = std::move(assets->files);
   if (film.has_value()) {
-    const absl::Status continues = CheckContinues(*film, submission.settings);
+    const absl::Status continues = CheckContinues(film->settings, submission.settings);
     if (!continues.ok()) return continues;
     absl::StatusOr<AssetFile> file = HashFile(flags.continue_film, flags.continue_film);
     if (!file.ok()) return file.status();

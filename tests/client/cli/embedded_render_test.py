@@ -88,6 +88,8 @@ class Continue(CommandLineCase):
         self.expect_done("render", "triangle.glb", "-o", "film.exr", "--layers", "film", *SMALL)
         self.expect_error(2, ["--seed", "--max-depth"], "render", "triangle.glb", "--continue",
                           "film.exr", "-o", "m.exr", "--seed", "9", "--max-depth", "1")
+        self.expect_error(2, ["--spp 3", "4 samples"], "render", "triangle.glb", "--continue",
+                          "film.exr", "-o", "m.exr", "--spp", "3")
         self.expect_done("render", "triangle.glb", "-o", "plain.exr", *SMALL)
         self.expect_error(2, ["plain.exr", "--layers film"], "render", "triangle.glb",
                           "--continue", "plain.exr", "-o", "m.exr")
@@ -123,9 +125,9 @@ class Interrupt(CommandLineCase):
         self.assertEqual(result["stopped_by"], "cancelled")
         self.assertEqual(result["outputs"], ["a.png", "a.film.exr"])
         self.assertTrue((self.folder / "a.png").exists())
-        # The next power of two: fewer samples than the film has would be another picture.
+        # A power of two well above: some tiles are ahead of the mean.
         spp = 1
-        while spp <= result["spp"] + 1:
+        while spp < 4 * (result["spp"] + 1):
             spp *= 2
         more = self.expect_json("render", "triangle.glb", "--continue", "a.film.exr", "-o",
                                 "more.png", "--spp", str(spp))
