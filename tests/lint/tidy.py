@@ -87,11 +87,16 @@ def check_file(root: pathlib.Path, path: pathlib.Path) -> list[str]:
     return breaches
 
 
+# Runs before main() of every program, so no test can call it.
+UNTESTABLE = {"core/base/cpu_check.cpp"}
+
+
 def untested_sources(paths: list[pathlib.Path]) -> list[str]:
     """Sources of core whose name no test mentions."""
     tests = {p.stem for p in paths if str(p).startswith("tests/")}
     return [f"{p}: no tests/.../{p.stem}_test.cpp" for p in paths
-            if str(p).startswith("core/") and p.suffix == ".cpp" and f"{p.stem}_test" not in tests]
+            if str(p).startswith("core/") and p.suffix == ".cpp" and str(p) not in UNTESTABLE
+            and f"{p.stem}_test" not in tests]
 
 
 def main() -> int:
