@@ -9,8 +9,8 @@ namespace tessera {
 namespace {
 
 TEST(VersionTest, NamesTheReleaseAndTheSourcesOfTheBuild) {
-  EXPECT_TRUE(std::regex_match(std::string(kVersion), std::regex("[0-9]+\\.[0-9]+\\.[0-9]+\\+[0-9a-f]{8}")))
-      << kVersion;
+  const std::regex form("[0-9]+\\.[0-9]+\\.[0-9]+\\+[0-9a-f]{8}");
+  EXPECT_TRUE(std::regex_match(std::string(kVersion), form)) << kVersion;
 }
 
 }  // namespace
