@@ -115,6 +115,7 @@ class Coordinator {
   absl::Status CheckDelta(const Job& job, const DeltaEvent& event) const;
   void Merge(Job& job, DeltaEvent& event);
   void OnPassCommitted(Job& job);
+  std::optional<Unit> TakeUnit(Job& job);
   void OpenNextEpoch(Job& job);
   bool NextEpochFits(const Job& job) const;
   void CheckTime(Job& job);

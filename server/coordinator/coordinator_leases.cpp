@@ -215,7 +215,7 @@ bool Coordinator::GrantOne(Worker& worker) {
 bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
   std::ranges::stable_sort(jobs, {}, [](const Job* job) { return job->samples_under_way; });
   for (Job* const job : jobs) {
-    if (const std::optional<Unit> unit = job->queue->Take()) {
+    if (const std::optional<Unit> unit = TakeUnit(*job)) {
       Grant(worker, *job, *unit);
       return true;
     }

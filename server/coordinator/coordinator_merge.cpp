@@ -98,9 +98,24 @@ void Coordinator::OnPassCommitted(Job& job) {
     Finish(job, job.stop_reason);
     return;
   }
+  // Also while it is paused, or the queue would stay shut after that.
   const int64_t committed = job.queue->committed_spp();
   const bool is_epoch = job.queue->schedule().EpochEnd(committed - 1) == committed;
-  if (is_epoch && job.IsOpen()) OpenNextEpoch(job);
+  if (is_epoch) OpenNextEpoch(job);
+}
+
+// A unit that the film lacks. A restored film may hold nodes that wait for samples before them:
+// those units are complete without a worker.
+std::optional<Unit> Coordinator::TakeUnit(Job& job) {
+  while (job.queue != nullptr) {
+    const std::optional<Unit> unit = job.queue->Take();
+    if (!unit || !IsCovered(*job.film, *unit)) return unit;
+    const bool pass_committed = job.queue->Complete(*unit);
+    UpdateProgress(job);
+    Touch(job);
+    if (pass_committed) OnPassCommitted(job);
+  }
+  return std::nullopt;
 }
 
 void Coordinator::OpenNextEpoch(Job& job) {
@@ -112,7 +127,11 @@ void Coordinator::OpenNextEpoch(Job& job) {
     Finish(job, v1::STOP_REASON_MAX_TIME);
     return;
   }
-  if (settings.target_error() > 0 && committed >= kEvaluateFromSpp) {
+  // After a restart the film may be amid an epoch: then the decision to begin it was taken before.
+  const bool is_decided =
+      committed > 0 && (schedule.EpochEnd(committed - 1) != committed ||
+                        job.film->samples() > committed * job.grid.region().area());
+  if (settings.target_error() > 0 && committed >= kEvaluateFromSpp && !is_decided) {
     // Decisions about sampling see exactly the committed epoch (C2): nothing runs ahead.
     job.queue->SetGate(committed);
     job.evaluating = true;

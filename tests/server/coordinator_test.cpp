@@ -192,6 +192,24 @@ TEST(Coordinator, PauseStopsLeasesAndResumeGoesOn) {
   EXPECT_TRUE(absl::IsFailedPrecondition(farm.Command(JobCommand::kResume, job)));
 }
 
+TEST(Coordinator, DeltasThatComeWhilePausedDoNotShutTheQueue) {
+  SimulatedFarm farm;
+  v1::JobSettings settings = SmallSettings(16);
+  settings.set_tile_size(32);  // one tile: all open passes are under way at once
+  const JobId job = farm.Create(settings);
+  const SessionId worker = farm.Connect();
+  std::vector<DeltaEvent> late;
+  for (const v1::Lease& lease : farm.workers[worker].leases) {
+    late.push_back(farm.Render(worker, lease));
+  }
+  EXPECT_TRUE(farm.Command(JobCommand::kPause, job).ok());
+  for (const DeltaEvent& delta : late) EXPECT_TRUE(farm.Post(delta).status.ok());
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_PAUSED);
+  EXPECT_TRUE(farm.Command(JobCommand::kResume, job).ok());
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(settings, 16));
+}
+
 TEST(Coordinator, CancelKeepsTheSamplesAndNamesTheirDigest) {
   SimulatedFarm farm;
   const JobId job = farm.Create(SmallSettings(16));
@@ -380,6 +398,50 @@ TEST(Coordinator, ARestartGoesOnFromTheCheckpoint) {
   after.RunAll();
   EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(SmallSettings(21), 21));
   EXPECT_EQ(after.Job(job).progress().samples(), 21 * 190);
+}
+
+// A restart at any moment of any history: what the checkpoint holds, nodes that wait for others
+// included, is neither lost nor asked for again without end.
+TEST(Coordinator, ARestartMayFallBetweenTwoPasses) {
+  for (int deltas = 1; deltas < 16; ++deltas) {
+    SimulatedFarm before;
+    const JobId job = before.Create(SmallSettings(21));
+    const SessionId stuck = before.Connect(1), worker = before.Connect(1);
+    ASSERT_FALSE(before.workers[stuck].leases.empty());
+    for (int i = 0; i < deltas; ++i) before.RenderOne(worker);
+    RestoreJobEvent event;
+    event.job = before.Job(job);
+    event.film = std::make_shared<Film>(*before.coordinator.FilmOf(job));
+
+    SimulatedFarm after;
+    EXPECT_TRUE(after.Post(std::move(event)).status.ok());
+    const SessionId next = after.Connect();
+    for (int i = 0; i < 200 && after.RenderOne(next); ++i) {
+    }
+    ASSERT_EQ(after.Job(job).state(), v1::JOB_STATE_DONE) << "after " << deltas << " deltas";
+    EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(SmallSettings(21), 21));
+  }
+}
+
+// Amid an epoch the film is ahead of what the decision to begin that epoch saw.
+TEST(Coordinator, ARestartAmidAnEpochDoesNotDecideAnew) {
+  v1::JobSettings settings = SmallSettings(1024);
+  settings.set_target_error(0.1);
+  SimulatedFarm before;
+  const JobId job = before.Create(settings);
+  const SessionId worker = before.Connect();
+  while (before.Job(job).progress().samples() <= 8 * 190) ASSERT_TRUE(before.RenderOne(worker));
+  RestoreJobEvent event;
+  event.job = before.Job(job);
+  event.film = std::make_shared<Film>(*before.coordinator.FilmOf(job));
+
+  SimulatedFarm after;
+  after.estimated_error = 0.05;
+  EXPECT_TRUE(after.Post(std::move(event)).status.ok());
+  after.Connect();
+  after.RunAll();
+  EXPECT_EQ(after.Job(job).progress().committed_spp(), 12);
+  EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(settings, 12));
 }
 
 TEST(Coordinator, AFilmLargerThanMemoryIsRefused) {
