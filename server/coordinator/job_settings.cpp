@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <set>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
@@ -76,7 +77,7 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
       return Invalid("settings.max_time is ", t.seconds(), " s: give a positive time");
     }
   }
-  if (std::abs(s.priority()) > kPriorityMax) {
+  if (s.priority() < -kPriorityMax || s.priority() > kPriorityMax) {
     return Invalid("settings.priority is ", s.priority(), ": give -", kPriorityMax, " to ",
                    kPriorityMax);
   }
@@ -133,8 +134,9 @@ absl::Status CheckAssets(const v1::JobSettings& s) {
       return Invalid("settings.assets: the sha256 of '", asset.name(), "' is ",
                      asset.sha256().size(), " bytes long: give 32");
     }
-    if (asset.size_bytes() < 0) {
-      return Invalid("settings.assets: the size of '", asset.name(), "' is negative");
+    if (asset.size_bytes() < 0 || asset.size_bytes() > kAssetBytesMax) {
+      return Invalid("settings.assets: the size of '", asset.name(), "' is ", asset.size_bytes(),
+                     " bytes: give 0 to ", kAssetBytesMax);
     }
     if (!names.insert(asset.name()).second) {
       return Invalid("settings.assets names '", asset.name(), "' twice");
@@ -201,7 +203,11 @@ PixelRect RegionOf(const v1::JobSettings& settings) {
 }
 
 PixelRect RectOf(const v1::Region& region) {
-  return PixelRect::FromSize(region.x(), region.y(), region.width(), region.height());
+  // Peers may send any numbers: a sum that no int holds gives an empty rectangle.
+  const int64_t x_end = int64_t{region.x()} + region.width();
+  const int64_t y_end = int64_t{region.y()} + region.height();
+  if (!std::in_range<int>(x_end) || !std::in_range<int>(y_end)) return {};
+  return {region.x(), region.y(), static_cast<int>(x_end), static_cast<int>(y_end)};
 }
 
 v1::Region RegionProto(const PixelRect& rect) {

@@ -14,6 +14,7 @@ inline constexpr int kPriorityMax = 1000000;
 inline constexpr int kTileSizeMaxPx = 64;
 inline constexpr int64_t kTilesMax = int64_t{1} << 22;
 inline constexpr int kAssetsMax = 65536;
+inline constexpr int64_t kAssetBytesMax = int64_t{1} << 46;  // 64 TiB; the sum fits an int64
 inline constexpr int kNameBytesMax = 4096;
 inline constexpr int kRequestIdBytesMax = 128;
 inline constexpr int kErrorBytesMax = 4096;

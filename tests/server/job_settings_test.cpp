@@ -54,6 +54,7 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
       {"assets", [](auto* s) { s->mutable_assets(0)->set_name("/scene.glb"); }},
       {"assets", [](auto* s) { s->mutable_assets(0)->set_sha256("short"); }},
       {"assets", [](auto* s) { *s->add_assets() = s->assets(0); }},
+      {"assets", [](auto* s) { s->mutable_assets(0)->set_size_bytes(INT64_MAX); }},
       {"map_name", [](auto* s) { s->mutable_environment()->set_map_name("sky.exr"); }},
       {"sky", [](auto* s) { s->mutable_environment()->mutable_sky()->set_x(-1); }},
       {"fov_y",
@@ -63,6 +64,7 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
        }},
       {"lens_radius", [](auto* s) { s->mutable_camera()->set_lens_radius(-1); }},
       {"priority", [](auto* s) { s->set_priority(2000000000); }},
+      {"priority", [](auto* s) { s->set_priority(std::numeric_limits<int>::min()); }},
   };
   for (const Case& c : cases) {
     v1::JobSettings settings = SmallSettings();
