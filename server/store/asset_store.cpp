@@ -96,21 +96,21 @@ absl::StatusOr<int64_t> AssetStore::Append(const Sha256Digest& digest, int64_t s
   if (const auto asset = assets_.find(digest); asset != assets_.end()) {
     return asset->second.size_bytes;
   }
-  if (!uploads_.contains(digest) && uploads_.size() >= kUploadsMax) {
-    return absl::ResourceExhaustedError("too many uploads are under way: try again later");
-  }
-  Upload& upload = uploads_[digest];
-  upload.use = next_use_++;
+  const auto found = uploads_.find(digest);
+  const int64_t has_bytes = found == uploads_.end() ? 0 : found->second.received_bytes;
   const auto chunk_bytes = static_cast<int64_t>(chunk.size());
-  if (offset < 0 || offset > upload.received_bytes) {
+  if (offset < 0 || offset > has_bytes) {
     return absl::OutOfRangeError(absl::StrCat("offset_bytes is ", offset, ", the server has ",
-                                              upload.received_bytes, ": resume from there"));
+                                              has_bytes, ": resume from there"));
   }
   if (size_bytes < 0 || chunk_bytes > size_bytes - offset) {
     DropUpload(digest);
     return absl::InvalidArgumentError(
         absl::StrCat("asset ", ToHex(digest), ": more bytes than its size_bytes ", size_bytes));
   }
+  if (found == uploads_.end()) DropUploadsBeyond(kUploadsMax - 1);
+  Upload& upload = uploads_[digest];
+  upload.use = next_use_++;
   const int64_t skip = std::min(chunk_bytes, upload.received_bytes - offset);
   if (absl::Status status = MakeRoom(chunk_bytes - skip, digest); !status.ok()) return status;
   absl::Status status =
@@ -220,6 +220,15 @@ void AssetStore::DropUpload(const Sha256Digest& digest) {
   uploads_.erase(it);
   std::error_code ignored;
   if (!dir_.empty()) fs::remove(PartPathOf(digest), ignored);
+}
+
+// Those that nobody has gone on with for longest: their clients may be gone for good.
+void AssetStore::DropUploadsBeyond(size_t num_uploads) {
+  while (uploads_.size() > num_uploads) {
+    const auto oldest = std::ranges::min_element(
+        uploads_, {}, [](const auto& upload) { return upload.second.use; });
+    DropUpload(Sha256Digest(oldest->first));
+  }
 }
 
 absl::StatusOr<std::string> AssetStore::Read(const Sha256Digest& digest, int64_t offset,

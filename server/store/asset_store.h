@@ -92,6 +92,7 @@ class AssetStore {
   absl::Status MakeRoom(int64_t bytes, const Sha256Digest& keep);
   void Drop(const Sha256Digest& digest);
   void DropUpload(const Sha256Digest& digest);
+  void DropUploadsBeyond(size_t num_uploads);
   absl::Status Write(const Sha256Digest& digest, Upload& upload, const char* data, size_t size);
   absl::Status Complete(const Sha256Digest& digest, Upload& upload);
 

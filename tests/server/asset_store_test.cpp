@@ -98,6 +98,17 @@ TEST_P(AssetStoreTest, AnUploadResumesAfterARestart) {
   EXPECT_EQ(*store_->Read(digest, 0, 1 << 20), bytes);
 }
 
+TEST_P(AssetStoreTest, AbandonedUploadsDoNotShutTheStore) {
+  for (int i = 0; i < 5000; ++i) {
+    const Sha256Digest digest = Sha256Of(std::to_string(i));
+    EXPECT_TRUE(absl::IsOutOfRange(store_->Append(digest, 9, 5, "x").status()));
+    EXPECT_TRUE(store_->Append(digest, 9, 0, "x").ok());
+  }
+  EXPECT_LE(store_->bytes(), 4096) << "those that were begun first are dropped";
+  EXPECT_EQ(store_->ReceivedBytes(Sha256Of("4999")), 1);
+  EXPECT_TRUE(Put("a scene").ok());
+}
+
 INSTANTIATE_TEST_SUITE_P(Places, AssetStoreTest, testing::Bool(),
                          [](const auto& place) { return place.param ? "Disk" : "Memory"; });
 
