@@ -54,6 +54,8 @@ absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* re
   const CoordinatorHost::Answer answer = host_.Post(std::move(event));
   if (!answer.status.ok()) return answer.status;
   absl::Status status = assets_.Reference(answer.job, digests);
+  // A job that has been deleted (a repeated request's, too) gives no references back any more.
+  if (!Get(JobName(answer.job), response).ok()) assets_.Release(answer.job);
   if (status.ok()) status = save_(answer.job);
   if (!status.ok()) {
     host_.Post(JobCommandEvent{JobCommand::kDelete, answer.job, ""});
