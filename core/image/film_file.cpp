@@ -257,7 +257,7 @@ class FilmReader {
       GroupLayout group;
       if (ends.size() != 2 || !absl::SimpleAtoi(ends[0], &group.range.begin) ||
           !absl::SimpleAtoi(ends[1], &group.range.end) || group.range.begin < 0 ||
-          group.range.empty() || group.range.end > kSamplesMax) {
+          group.range.end > kSamplesMax || !group.range.IsNode()) {
         return DamagedImage(path_, absl::StrCat("channel ", name));
       }
       group.places.push_back(index);

@@ -116,6 +116,16 @@ TEST_F(FilmFileTest, NodesThatDoNotFitAreRefused) {
   EXPECT_EQ(NumFiles(), 0u);
 }
 
+TEST_F(FilmFileTest, RangesThatAreNoNodesAreRefused) {
+  FilmFile film;
+  film.region = film.frame = {0, 0, 4, 4};
+  std::mt19937 random(3);
+  film.nodes.push_back(RandomNode(film.region, {0, 3}, &random));
+  const Image picture = PictureOf(film);
+  ASSERT_TRUE(WriteFilmFile(Path("film.exr"), film, picture).ok());
+  EXPECT_EQ(ReadFilmFile(Path("film.exr")).status().code(), absl::StatusCode::kInvalidArgument);
+}
+
 TEST_F(FilmFileTest, ImagesWithoutAFilmSayHowToMakeOne) {
   ASSERT_TRUE(WriteExr(Path("plain.exr"), MixedImage(4, 4)).ok());
   const absl::Status status = ReadFilmFile(Path("plain.exr")).status();
