@@ -185,7 +185,9 @@ PictureSource Service::Impl::MakePictureSource() {
     const bool exists = host_->Read([&](const Coordinator& c) {
       const absl::StatusOr<v1::Job> record = c.GetJob(job);
       if (!record.ok()) return false;
-      view = {record->settings(), record->progress().committed_spp(), c.FilmOf(job)};
+      const bool is_sampling = record->state() == v1::JOB_STATE_QUEUED ||
+                               record->state() == v1::JOB_STATE_RUNNING;
+      view = {record->settings(), record->progress().committed_spp(), is_sampling, c.FilmOf(job)};
       return true;
     });
     if (exists && view.film == nullptr) view.film = FilmOf(job);

@@ -3,15 +3,15 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <limits>
 #include <mutex>
-#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
-#include "core/denoise/denoise_frame.h"
 #include "core/image/layers.h"
 #include "core/statistics/calibration.h"
 #include "server/coordinator/job_settings.h"
+#include "server/picture/parallel.h"
 
 namespace tessera {
 namespace {
@@ -20,6 +20,8 @@ namespace {
 constexpr double kHalfWidthSigmas = 1.959964;
 constexpr double kRelMseEpsilon = 0.01;  // DESIGN.md, definitions
 constexpr double kLeastError = 1e-12;    // what stands for none, as 0 means unknown
+constexpr int kPartSizePx = 128;         // of a unit of work: large against a halo
+constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
 uint64_t NextSerial() {
   static std::atomic<uint64_t> last{0};
@@ -37,7 +39,21 @@ std::vector<int64_t> Reached(const TileGrid& grid, const std::vector<int64_t>& t
   return {reached.begin(), reached.end()};
 }
 
-void CopyWindow(const FilteredPlanes& from, const PixelRect& window, FilteredPlanes* to) {
+std::vector<PixelRect> Split(const std::vector<PixelRect>& windows) {
+  std::vector<PixelRect> parts;
+  for (const PixelRect& window : windows) {
+    for (int y = window.y_begin; y < window.y_end; y += kPartSizePx) {
+      for (int x = window.x_begin; x < window.x_end; x += kPartSizePx) {
+        parts.push_back(PixelRect::FromSize(x, y, kPartSizePx, kPartSizePx).Intersect(window));
+      }
+    }
+  }
+  return parts;
+}
+
+// Copies all of `from`.
+void CopyPart(const FilteredPlanes& from, FilteredPlanes* to) {
+  const PixelRect& window = from.bounds;
   for (int channel = 0; channel < 3; ++channel) {
     const auto c = static_cast<size_t>(channel);
     for (int y = window.y_begin; y < window.y_end; ++y) {
@@ -79,61 +95,130 @@ std::vector<PixelRect> JoinTiles(const TileGrid& grid, const std::vector<int64_t
 Picture::Picture(const v1::JobSettings& settings)
     : serial_(NextSerial()),
       settings_(settings),
+      quality_(settings.quality() == v1::QUALITY_PREVIEW ? DenoiseQuality::kPreview
+                                                         : DenoiseQuality::kFinal),
       grid_(RegionOf(settings), settings.tile_size()),
       planes_(grid_.region()),
       filtered_(grid_.region()),
-      scratch_(grid_.region()) {
+      row_errors_(static_cast<size_t>(grid_.region().height()), kUnknown) {
   absl::StatusOr<std::unique_ptr<Denoiser>> denoiser = MakeDenoiser(settings.denoiser());
   TESSERA_CHECK(denoiser.ok());
   denoiser_ = *std::move(denoiser);
-}
-
-void Picture::Update(const std::vector<int64_t>& changed, const TileSource& source,
-                     int num_threads) {
-  for (const int64_t tile : changed) {
-    const TileStatistics statistics = source(tile);
-    std::unique_lock lock(mu_);
-    planes_.Resolve(statistics);
+  // What is not sampled yet is unknown.
+  for (Planes3* const planes :
+       {&planes_.sample_variance_of_mean, &planes_.variance, &planes_.albedo_variance,
+        &planes_.normal_variance, &filtered_.error}) {
+    for (Plane& plane : *planes) std::ranges::fill(plane, kUnknown);
   }
-  Filter(changed, num_threads);
+  std::ranges::fill(planes_.depth_variance, kUnknown);
 }
 
-void Picture::Filter(const std::vector<int64_t>& changed, int num_threads) {
+double Picture::Update(const std::vector<int64_t>& changed, const TileSource& source,
+                       DenoiseQuality quality, int num_threads) {
+  std::vector<int64_t> resolved;
+  double cpu_seconds = Resolve(changed, source, num_threads, &resolved);
+  const std::vector<PixelRect> moved =
+      Split(JoinTiles(grid_, Reached(grid_, resolved, kCalibrationRadiusPx)));
   {
-    std::unique_lock lock(mu_);
-    const std::vector<int64_t> reached = Reached(grid_, changed, kCalibrationRadiusPx);
-    for (const PixelRect& window : JoinTiles(grid_, reached)) CalibrateVariance(window, &planes_);
+    std::unique_lock lock(variance_mu_);
+    cpu_seconds += ParallelFor(moved.size(), num_threads,
+                               [&](size_t i) { CalibrateVariance(moved[i], &planes_); });
   }
-  const std::vector<PixelRect> windows =
-      JoinTiles(grid_, Reached(grid_, changed, kCalibrationRadiusPx + denoiser_->halo_px()));
-  const FrameParameters parameters{
-      .frame = grid_.region(),
-      .quality = settings_.quality() == v1::QUALITY_PREVIEW ? DenoiseQuality::kPreview
-                                                            : DenoiseQuality::kFinal};
-  DenoiseWindows(*denoiser_, planes_, parameters, windows, num_threads, &scratch_);
+  std::vector<int64_t> stale =
+      Reached(grid_, resolved, kCalibrationRadiusPx + denoiser_->halo_px());
+  if (quality == DenoiseQuality::kFinal) {
+    rough_.insert(stale.begin(), stale.end());
+    stale.assign(rough_.begin(), rough_.end());
+    rough_.clear();
+    quality = quality_;
+  } else if (quality != quality_) {
+    rough_.insert(stale.begin(), stale.end());
+  }
+  const std::vector<PixelRect> windows = JoinTiles(grid_, stale);
+  cpu_seconds += Filter(windows, quality, num_threads);
+  cpu_seconds += SumErrors(windows, num_threads);
+  const double error = EstimateError();
   std::unique_lock lock(mu_);
-  for (const PixelRect& window : windows) CopyWindow(scratch_, window, &filtered_);
-  EstimateError();
+  estimated_error_ = error;
+  is_refined_ = rough_.empty();
   ++version_;
+  return cpu_seconds;
 }
 
-void Picture::EstimateError() {
-  double sum = 0;
-  const size_t num_pixels = filtered_.color[0].size();
-  for (size_t c = 0; c < 3; ++c) {
-    for (size_t i = 0; i < num_pixels; ++i) {
-      const double sigma = double{filtered_.error[c][i]} / kHalfWidthSigmas;
-      const double value = filtered_.color[c][i];
-      sum += sigma * sigma / (value * value + kRelMseEpsilon);
-    }
+double Picture::Resolve(const std::vector<int64_t>& changed, const TileSource& source,
+                        int num_threads, std::vector<int64_t>* resolved) {
+  std::vector<char> has_samples(changed.size());
+  const double cpu_seconds = ParallelFor(changed.size(), num_threads, [&](size_t i) {
+    const TileStatistics statistics = source(changed[i]);
+    const int64_t count = statistics.range().size();
+    if (count == 0) return;
+    has_samples[i] = 1;
+    const PixelRect& window = statistics.window();
+    const auto first = static_cast<size_t>(planes_.bounds.IndexOf(window.x_begin, window.y_begin));
+    std::unique_lock lock(mu_);
+    num_samples_ += (count - int64_t{planes_.samples[first]}) * window.area();
+    planes_.Resolve(statistics);
+  });
+  for (size_t i = 0; i < changed.size(); ++i) {
+    if (has_samples[i] != 0) resolved->push_back(changed[i]);
   }
-  const double error = std::sqrt(sum / (3.0 * static_cast<double>(num_pixels)));
-  estimated_error_ = std::isfinite(error) ? std::max(error, kLeastError) : 0;
+  return cpu_seconds;
+}
+
+double Picture::Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality,
+                       int num_threads) {
+  const FrameParameters parameters{.frame = grid_.region(), .quality = quality};
+  const std::vector<PixelRect> parts = Split(windows);
+  return ParallelFor(parts.size(), num_threads, [&](size_t i) {
+    FilteredPlanes part(parts[i]);
+    denoiser_->Filter(planes_, parameters, parts[i], &part);
+    std::unique_lock lock(mu_);
+    CopyPart(part, &filtered_);
+  });
+}
+
+double Picture::SumErrors(const std::vector<PixelRect>& windows, int num_threads) {
+  std::set<int> rows;
+  for (const PixelRect& window : windows) {
+    for (int y = window.y_begin; y < window.y_end; ++y) rows.insert(y);
+  }
+  const std::vector<int> stale(rows.begin(), rows.end());
+  const PixelRect& region = grid_.region();
+  return ParallelFor(stale.size(), num_threads, [&](size_t row) {
+    const auto begin = static_cast<size_t>(filtered_.bounds.IndexOf(region.x_begin, stale[row]));
+    const size_t end = begin + static_cast<size_t>(region.width());
+    double sum = 0;
+    for (size_t c = 0; c < 3; ++c) {
+      for (size_t i = begin; i < end; ++i) {
+        const double sigma = double{filtered_.error[c][i]} / kHalfWidthSigmas;
+        const double value = filtered_.color[c][i];
+        sum += sigma * sigma / (value * value + kRelMseEpsilon);
+      }
+    }
+    row_errors_[static_cast<size_t>(stale[row] - region.y_begin)] = sum;
+  });
+}
+
+double Picture::EstimateError() const {
+  double sum = 0;
+  for (const double row : row_errors_) sum += row;
+  const double error = std::sqrt(sum / (3.0 * static_cast<double>(grid_.region().area())));
+  return std::isfinite(error) ? std::max(error, kLeastError) : 0;
 }
 
 uint64_t Picture::version() const {
   std::shared_lock lock(mu_);
   return version_;
+}
+
+bool Picture::is_refined() const {
+  std::shared_lock lock(mu_);
+  return is_refined_;
+}
+
+double Picture::spp() const {
+  std::shared_lock lock(mu_);
+  return static_cast<double>(num_samples_) / static_cast<double>(grid_.region().area());
 }
 
 double Picture::estimated_error() const {
@@ -145,13 +230,15 @@ absl::StatusOr<Image> Picture::Snapshot(const PixelRect& region,
                                         const std::vector<std::string>& layers) const {
   if (region.empty() || !grid_.region().Contains(region)) {
     const PixelRect& all = grid_.region();
-    return absl::InvalidArgumentError(absl::StrCat(
-        "region is not inside what the job renders: ", all.x_begin, ",", all.y_begin, ",",
-        all.width(), ",", all.height()));
+    return absl::InvalidArgumentError(
+        absl::StrCat("region is not inside what the job renders: ", all.x_begin, ",", all.y_begin,
+                     ",", all.width(), ",", all.height()));
   }
   Image image;
   image.data_window = region;
   image.display_window = PixelRect::FromSize(0, 0, settings_.width(), settings_.height());
+  std::shared_lock variance_lock(variance_mu_, std::defer_lock);
+  if (std::ranges::find(layers, "variance") != layers.end()) variance_lock.lock();
   std::shared_lock lock(mu_);
   for (const std::string& name : layers) {
     const PictureLayer* const layer = FindPictureLayer(name);

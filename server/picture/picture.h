@@ -1,11 +1,14 @@
 // The served picture of one job: planes resolved from its film, and the filtered picture, kept up
-// to date tile by tile. Incremental equals from scratch, bit for bit: what a changed tile can reach
-// (calibration radius + the filter's halo) is filtered again.
+// to date tile by tile. Previews may be filtered more cheaply than the job asks for. Once refined,
+// incremental equals from scratch, bit for bit, however previews went: what a changed tile can
+// reach (calibration radius + the filter's halo), and what is at preview quality, is filtered
+// again.
 #pragma once
 
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <set>
 #include <shared_mutex>
 #include <string>
 #include <vector>
@@ -27,37 +30,58 @@ class Picture {
 
   // Gives the folded statistics of a tile as they are now.
   using TileSource = std::function<TileStatistics(int64_t tile)>;
-  // Takes the tiles `changed` from `source` and filters all that they reach on num_threads.
-  void Update(const std::vector<int64_t>& changed, const TileSource& source, int num_threads);
+  // Takes the tiles `changed` from `source`, called on num_threads, and filters all that they
+  // reach: kPreview at preview quality; kFinal at the job's quality, with all that previews have
+  // left. Tiles without samples are passed over. Parts of the picture are served as they become
+  // ready. Returns the seconds of CPU that it took, all threads together.
+  double Update(const std::vector<int64_t>& changed, const TileSource& source,
+                DenoiseQuality quality, int num_threads);
 
   // Grows with each Update.
   uint64_t version() const;
+  // Whether all of it is at the job's quality.
+  bool is_refined() const;
+  // Mean samples per pixel that it shows.
+  double spp() const;
   // Differs between two pictures of a process.
   uint64_t serial() const { return serial_; }
   // Estimated sqrt(relMSE) of the filtered picture (DESIGN.md), from its own error output;
   // 0 = unknown. Deterministic.
   double estimated_error() const;
-  // The named layers over `region`, which must lie in the job's region, as one consistent moment.
+  // The named layers over `region`, which must lie in the job's region. While an Update runs, parts
+  // of the picture may be newer than others.
   // Errors: INVALID_ARGUMENT naming the layers that there are.
   absl::StatusOr<Image> Snapshot(const PixelRect& region,
                                  const std::vector<std::string>& layers) const;
 
  private:
-  void Filter(const std::vector<int64_t>& changed, int num_threads);
-  void EstimateError();
+  // Each returns seconds of CPU.
+  double Resolve(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
+                 std::vector<int64_t>* resolved);
+  double Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality, int num_threads);
+  // Sums the errors of the windows' rows anew.
+  double SumErrors(const std::vector<PixelRect>& windows, int num_threads);
+  double EstimateError() const;
 
   const uint64_t serial_;
   const v1::JobSettings settings_;
+  const DenoiseQuality quality_;  // the job's
   const TileGrid grid_;
   std::unique_ptr<Denoiser> denoiser_;  // constant after construction
 
-  mutable std::shared_mutex mu_;  // guards what follows; Update's thread alone writes
+  // Update's thread and those that it starts alone write what follows. The calibrated variance, in
+  // planes_, is guarded by variance_mu_ (taken first), all else up to estimated_error_ by mu_.
+  mutable std::shared_mutex variance_mu_;
+  mutable std::shared_mutex mu_;
   FramePlanes planes_;
   FilteredPlanes filtered_;
   uint64_t version_ = 0;
+  bool is_refined_ = true;
+  int64_t num_samples_ = 0;
   double estimated_error_ = 0;
 
-  FilteredPlanes scratch_;  // Update's own
+  std::set<int64_t> rough_;         // tiles filtered at less than the job's quality; Update's own
+  std::vector<double> row_errors_;  // each row's sum of relative squared errors; Update's own
 };
 
 // The rectangles that cover exactly the given tiles (ascending), touching tiles joined.

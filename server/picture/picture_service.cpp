@@ -7,8 +7,9 @@
 namespace tessera {
 namespace {
 
-constexpr int64_t kIntervalMinMs = 100;    // ten previews a second are enough
-constexpr int64_t kIdleKeepMs = 60000;     // how long a picture that nobody looks at is kept
+constexpr int64_t kIntervalMinMs = 100;  // ten previews a second are enough
+constexpr int64_t kRefineAfterMs = 300;  // without news, a job may have come to rest
+constexpr int64_t kIdleKeepMs = 60000;   // how long a picture that nobody looks at is kept
 constexpr int64_t kSleepMaxMs = 1000;
 
 int64_t MonotonicMs() {
@@ -52,7 +53,7 @@ void PictureService::TileChanged(JobId job, int64_t tile) {
 
 void PictureService::Evaluate(JobId job) {
   std::lock_guard lock(mu_);
-  entries_[job].evaluate = true;
+  entries_[job].refine = true;
   wake_.notify_all();
 }
 
@@ -92,7 +93,10 @@ void PictureService::Fetch(JobId job, bool wait, Done done) {
     if (!stopping_) {
       Entry& entry = entries_[job];
       entry.used_ms = MonotonicMs();
-      if (wait || entry.picture == nullptr || entry.picture->version() == 0) {
+      const bool is_blank = entry.picture == nullptr || entry.picture->version() == 0 ||
+                            (entry.picture->spp() == 0 && !entry.changed.empty());
+      if (wait || is_blank) {
+        entry.refine |= wait;
         entry.waiting.push_back(std::move(done));
         wake_.notify_all();
         return;
@@ -121,16 +125,23 @@ void PictureService::Run() {
   }
 }
 
+std::optional<int64_t> PictureService::DueMs(const Entry& entry) {
+  if (entry.watchers == 0 && !entry.wanted) return std::nullopt;
+  if (entry.picture == nullptr || !entry.changed.empty()) return entry.not_before_ms;
+  if (entry.picture->is_refined()) return std::nullopt;
+  return std::max(entry.not_before_ms, entry.refine_at_ms);
+}
+
 JobId PictureService::Choose(int64_t now_ms, int64_t* sleep_ms) const {
   JobId due = 0;
   for (const auto& [id, entry] : entries_) {
-    if (entry.evaluate || entry.finish || !entry.waiting.empty()) return id;
-    const bool is_stale = entry.picture == nullptr || !entry.changed.empty();
-    if (!is_stale || (entry.watchers == 0 && !entry.wanted)) continue;
-    if (entry.not_before_ms <= now_ms) {
+    if (entry.refine || entry.finish || !entry.waiting.empty()) return id;
+    const std::optional<int64_t> due_ms = DueMs(entry);
+    if (!due_ms) continue;
+    if (*due_ms <= now_ms) {
       due = due == 0 ? id : due;
     } else {
-      *sleep_ms = std::min(*sleep_ms, entry.not_before_ms - now_ms);
+      *sleep_ms = std::min(*sleep_ms, *due_ms - now_ms);
     }
   }
   return due;
@@ -169,37 +180,46 @@ std::shared_ptr<Picture> PictureService::TakeChanges(JobId job, const PictureSou
   return fresh;
 }
 
+double PictureService::UpdatePicture(JobId job, const PictureSource::JobView& view, bool refine,
+                                     std::shared_ptr<Picture>* picture) {
+  std::vector<int64_t> changed;
+  *picture = TakeChanges(job, view, &changed);
+  if (changed.empty() && (!refine || (*picture)->is_refined())) return 0;
+  return (*picture)->Update(
+      changed, [&](int64_t tile) { return source_.fold_tile(*view.film, tile); },
+      refine ? DenoiseQuality::kFinal : DenoiseQuality::kPreview, num_threads_);
+}
+
 void PictureService::RunRound(JobId job) {
   // The committed state is read before the changes are taken: the picture shows at least that.
   const std::unique_ptr<PictureSource::JobView> view = source_.view(job);
   if (view == nullptr) return Abandon(job);
   std::vector<Done> waiting;
   bool finish = false;
+  bool refine = !view->is_sampling;
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
     waiting = std::exchange(entry.waiting, {});
     finish = std::exchange(entry.finish, false);
-    entry.evaluate = entry.wanted = false;
+    refine |= std::exchange(entry.refine, false) || finish;
+    entry.wanted = false;
   }
   const int64_t begin_ms = MonotonicMs();
-  std::vector<int64_t> changed;
-  const std::shared_ptr<Picture> picture = TakeChanges(job, *view, &changed);
-  if (!changed.empty()) {
-    picture->Update(
-        changed, [&](int64_t tile) { return source_.fold_tile(*view->film, tile); }, num_threads_);
-  }
-  const int64_t end_ms = MonotonicMs();
-  const double core_seconds = 1e-3 * static_cast<double>(end_ms - begin_ms) * num_threads_;
+  std::shared_ptr<Picture> picture;
+  const double cpu_seconds = UpdatePicture(job, *view, refine, &picture);
   const auto cores = std::max(1u, std::thread::hardware_concurrency());
-  const auto pause_ms = static_cast<int64_t>(1e3 * core_seconds / (kPreviewShare * cores));
+  const auto pause_ms = static_cast<int64_t>(1e3 * cpu_seconds / (kPreviewShare * cores));
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
+    entry.used_ms = MonotonicMs();
     entry.not_before_ms = begin_ms + std::max(kIntervalMinMs, pause_ms);
-    entry.used_ms = end_ms;
+    entry.refine_at_ms = entry.used_ms + kRefineAfterMs;
   }
-  source_.on_picture({job, view->committed_spp, picture->estimated_error(), core_seconds});
+  if (cpu_seconds > 0 || refine) {
+    source_.on_picture({job, view->committed_spp, picture->estimated_error(), cpu_seconds});
+  }
   if (finish) source_.on_finished({job, view->film->Digest()});
   for (const Done& done : waiting) done(picture);
 }
@@ -207,7 +227,7 @@ void PictureService::RunRound(JobId job) {
 void PictureService::EvictIdle(int64_t now_ms) {
   std::erase_if(entries_, [&](const auto& item) {
     const Entry& entry = item.second;
-    return entry.watchers == 0 && entry.waiting.empty() && !entry.evaluate && !entry.finish &&
+    return entry.watchers == 0 && entry.waiting.empty() && !entry.refine && !entry.finish &&
            !entry.wanted && now_ms - entry.used_ms > kIdleKeepMs;
   });
 }

@@ -1,7 +1,8 @@
 // Keeps the pictures of jobs up to date in the background, as far as somebody looks at them:
 // nothing is filtered while nobody watches or fetches; with a watcher, filtering takes at most
 // kPreviewShare of the machine, and the rate follows from what a round costs. Latest wins: a round
-// takes whatever has changed since the last one.
+// takes whatever has changed since the last one. Previews of a job that is sampled are filtered at
+// preview quality; at rest, or when somebody waits, the picture has the job's.
 #pragma once
 
 #include <condition_variable>
@@ -10,6 +11,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <string>
 #include <thread>
@@ -26,11 +28,12 @@ struct PictureSource {
   struct JobView {
     v1::JobSettings settings;
     int64_t committed_spp = 0;
+    bool is_sampling = false;  // more samples are to come
     std::shared_ptr<const Film> film;
   };
   // null: the job does not exist.
   std::function<std::unique_ptr<JobView>(JobId)> view;
-  // Folds a tile of a view's film, which others may be writing to.
+  // Folds a tile of a view's film, which others may be writing to. Threads: any number at once.
   std::function<TileStatistics(const Film&, int64_t tile)> fold_tile;
   std::function<void(const PictureEvent&)> on_picture;
   std::function<void(const JobFinishedEvent&)> on_finished;
@@ -55,8 +58,9 @@ class PictureService {
   void RemoveWatcher(JobId job);
 
   // Calls done(picture), on the service's thread or at once, when the picture shows at least
-  // everything that had been merged before the call (wait), or else any moment. null: the job does
-  // not exist any more, or the service stops.
+  // everything that had been merged before the call, at the job's quality (wait), or else any
+  // moment, but samples if there are any. null: the job does not exist any more, or the service
+  // stops.
   using Done = std::function<void(std::shared_ptr<const Picture>)>;
   void Fetch(JobId job, bool wait, Done done);
 
@@ -70,16 +74,22 @@ class PictureService {
     std::vector<Done> waiting;
     int watchers = 0;
     bool wanted = false;  // a fetch that did not wait would like it newer
-    bool evaluate = false;
+    bool refine = false;  // somebody waits for the job's quality
     bool finish = false;
     int64_t not_before_ms = 0;
+    int64_t refine_at_ms = 0;  // unless more tiles change
     int64_t used_ms = 0;
   };
 
   void Run();
+  // When the entry's next round is due for those who look on; nullopt: never.
+  static std::optional<int64_t> DueMs(const Entry& entry);
   // The job whose picture is most urgent; 0 = none, and then *sleep_ms is how long to sleep.
   JobId Choose(int64_t now_ms, int64_t* sleep_ms) const;
   void RunRound(JobId job);
+  // Brings the picture up to date; returns seconds of CPU.
+  double UpdatePicture(JobId job, const PictureSource::JobView& view, bool refine,
+                       std::shared_ptr<Picture>* picture);
   void Abandon(JobId job);
   // Creates the picture if need be and moves what has changed since the last round to *changed.
   std::shared_ptr<Picture> TakeChanges(JobId job, const PictureSource::JobView& view,

@@ -58,7 +58,7 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
     header.set_frame_width(job->settings().width());
     header.set_frame_height(job->settings().height());
     *header.mutable_revision() = job->revision();
-    header.set_spp(job->progress().spp());
+    header.set_spp(picture->spp());
     for (const std::string& name : request_.layers()) {
       const PictureLayer* const layer = FindPictureLayer(name);
       v1::ImageLayer& out = *header.add_layers();

@@ -1,12 +1,18 @@
 #include "server/picture/picture.h"
 
-#include <bit>
-#include <cstring>
-
 #include <gtest/gtest.h>
+#include <time.h>
+
+#include <atomic>
+#include <bit>
+#include <cmath>
+#include <cstring>
+#include <future>
 
 #include "core/image/layers.h"
 #include "server/coordinator/job_settings.h"
+#include "server/picture/parallel.h"
+#include "server/picture/picture_service.h"
 #include "tests/server/simulated_farm.h"
 
 namespace tessera {
@@ -35,32 +41,117 @@ bool SameBits(const Image& a, const Image& b) {
   return true;
 }
 
+Picture::TileSource From(const Film& film) {
+  return [&film](int64_t tile) { return film.Fold(tile); };
+}
+
+// All layers and the estimate of the error.
+void ExpectSame(const Picture& a, const Picture& b, const PixelRect& region) {
+  std::vector<std::string> layers;
+  for (const PictureLayer& layer : PictureLayers()) layers.emplace_back(layer.name);
+  EXPECT_TRUE(SameBits(*a.Snapshot(region, layers), *b.Snapshot(region, layers)));
+  EXPECT_EQ(std::bit_cast<uint64_t>(a.estimated_error()),
+            std::bit_cast<uint64_t>(b.estimated_error()));
+}
+
+// Tiles in an odd order and in uneven groups, each ascending.
+std::vector<std::vector<int64_t>> OddGroups(const TileGrid& grid) {
+  std::vector<int64_t> order = AllTiles(grid);
+  for (size_t i = 0; i < order.size(); ++i) {
+    std::swap(order[i], order[(i * 7 + 3) % order.size()]);
+  }
+  std::vector<std::vector<int64_t>> groups;
+  for (size_t i = 0; i < order.size();) {
+    std::vector<int64_t> group;
+    for (size_t n = 0; n < 1 + i % 4 && i < order.size(); ++n) group.push_back(order[i++]);
+    std::ranges::sort(group);
+    groups.push_back(std::move(group));
+  }
+  return groups;
+}
+
 TEST(Picture, IncrementalEqualsFromScratch) {
   for (const std::string& denoiser : DenoiserNames()) {
+    SCOPED_TRACE(denoiser);
     const v1::JobSettings settings = Settings(denoiser);
     const TileGrid grid(RegionOf(settings), settings.tile_size());
     const Film two = SyntheticFilm(1, grid, 2), eight = SyntheticFilm(1, grid, 8);
     Picture grown(settings), fresh(settings);
-    grown.Update(AllTiles(grid), [&](int64_t t) { return two.Fold(t); }, 2);
-    // Tiles arrive in an odd order and in uneven groups; a stale tile is never left behind.
-    std::vector<int64_t> order = AllTiles(grid);
-    for (size_t i = 0; i < order.size(); ++i) {
-      std::swap(order[i], order[(i * 7 + 3) % order.size()]);
+    grown.Update(AllTiles(grid), From(two), DenoiseQuality::kFinal, 2);
+    for (const std::vector<int64_t>& group : OddGroups(grid)) {
+      grown.Update(group, From(eight), DenoiseQuality::kFinal, 1);
     }
-    for (size_t i = 0; i < order.size();) {
-      std::vector<int64_t> group;
-      for (size_t n = 0; n < 1 + i % 4 && i < order.size(); ++n) group.push_back(order[i++]);
-      std::ranges::sort(group);
-      grown.Update(group, [&](int64_t t) { return eight.Fold(t); }, 1);
+    fresh.Update(AllTiles(grid), From(eight), DenoiseQuality::kFinal, 2);
+    ExpectSame(grown, fresh, grid.region());
+  }
+}
+
+TEST(Picture, RefinedDoesNotDependOnPreviews) {
+  for (const std::string& denoiser : DenoiserNames()) {
+    SCOPED_TRACE(denoiser);
+    const v1::JobSettings settings = Settings(denoiser);
+    const TileGrid grid(RegionOf(settings), settings.tile_size());
+    const Film two = SyntheticFilm(1, grid, 2), eight = SyntheticFilm(1, grid, 8);
+    Picture seen(settings), fresh(settings);
+    EXPECT_TRUE(seen.is_refined());
+    seen.Update(AllTiles(grid), From(two), DenoiseQuality::kPreview, 2);
+    int round = 0;
+    for (const std::vector<int64_t>& group : OddGroups(grid)) {
+      seen.Update(group, From(eight),
+                  ++round % 5 == 0 ? DenoiseQuality::kFinal : DenoiseQuality::kPreview, 2);
+      EXPECT_EQ(seen.is_refined(), round % 5 == 0);
     }
-    fresh.Update(AllTiles(grid), [&](int64_t t) { return eight.Fold(t); }, 2);
-    std::vector<std::string> layers;
-    for (const PictureLayer& layer : PictureLayers()) layers.emplace_back(layer.name);
-    EXPECT_TRUE(SameBits(*grown.Snapshot(grid.region(), layers),
-                         *fresh.Snapshot(grid.region(), layers)))
-        << denoiser;
-    EXPECT_EQ(std::bit_cast<uint64_t>(grown.estimated_error()),
-              std::bit_cast<uint64_t>(fresh.estimated_error()));
+    // A preview of everything, so that all is to be done again.
+    seen.Update(AllTiles(grid), From(eight), DenoiseQuality::kPreview, 1);
+    EXPECT_FALSE(seen.is_refined());
+    const uint64_t version = seen.version();
+    seen.Update({}, From(eight), DenoiseQuality::kFinal, 2);
+    EXPECT_TRUE(seen.is_refined());
+    EXPECT_GT(seen.version(), version);
+    fresh.Update(AllTiles(grid), From(eight), DenoiseQuality::kFinal, 1);
+    ExpectSame(seen, fresh, grid.region());
+  }
+}
+
+TEST(Picture, PreviewOfAJobOfPreviewQualityIsRefined) {
+  v1::JobSettings settings = Settings("bilateral");
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  const Film eight = SyntheticFilm(1, grid, 8);
+  Picture coarse(settings);
+  coarse.Update(AllTiles(grid), From(eight), DenoiseQuality::kPreview, 1);
+  settings.set_quality(v1::QUALITY_PREVIEW);
+  Picture preview(settings), asked(settings);
+  preview.Update(AllTiles(grid), From(eight), DenoiseQuality::kPreview, 1);
+  EXPECT_TRUE(preview.is_refined());
+  asked.Update(AllTiles(grid), From(eight), DenoiseQuality::kFinal, 1);
+  ExpectSame(preview, asked, grid.region());
+  ExpectSame(preview, coarse, grid.region());
+}
+
+TEST(Picture, TilesWithoutSamplesAreUnknown) {
+  const v1::JobSettings settings = Settings("bilateral");
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  const Film full = SyntheticFilm(1, grid, 4);
+  Film partial(grid);
+  const PixelRect known = grid.WindowOf(0);
+  ASSERT_TRUE(partial.Accept(0, full.Fold(0)).ok());
+  Picture picture(settings);
+  picture.Update(AllTiles(grid), From(Film(grid)), DenoiseQuality::kPreview, 1);
+  EXPECT_EQ(picture.spp(), 0);
+  EXPECT_EQ(picture.version(), 1u);
+  picture.Update(AllTiles(grid), From(partial), DenoiseQuality::kPreview, 2);
+  EXPECT_NEAR(picture.spp(),
+              4.0 * static_cast<double>(known.area()) / static_cast<double>(grid.region().area()),
+              1e-12);
+  EXPECT_EQ(picture.estimated_error(), 0);
+  const Image image = *picture.Snapshot(grid.region(), {"samples", "error", "variance"});
+  for (int y = 0; y < settings.height(); ++y) {
+    for (int x = 0; x < settings.width(); ++x) {
+      const auto i = static_cast<size_t>(grid.region().IndexOf(x, y));
+      EXPECT_EQ(image.channels[0].uints[i], known.Contains(x, y) ? 4u : 0u);
+      EXPECT_EQ(std::isfinite(image.channels[1].floats[i]), known.Contains(x, y));
+      EXPECT_EQ(std::isfinite(image.channels[4].floats[i]), known.Contains(x, y));
+    }
   }
 }
 
@@ -70,11 +161,115 @@ TEST(Picture, KnowsNoErrorBeforeBothHalvesHaveSamples) {
   Picture picture(settings);
   EXPECT_EQ(picture.estimated_error(), 0);
   const Film one = SyntheticFilm(1, grid, 1), eight = SyntheticFilm(1, grid, 8);
-  picture.Update(AllTiles(grid), [&](int64_t t) { return one.Fold(t); }, 1);
+  picture.Update(AllTiles(grid), From(one), DenoiseQuality::kFinal, 1);
   EXPECT_EQ(picture.estimated_error(), 0);
-  picture.Update(AllTiles(grid), [&](int64_t t) { return eight.Fold(t); }, 1);
+  picture.Update(AllTiles(grid), From(eight), DenoiseQuality::kFinal, 1);
   EXPECT_GT(picture.estimated_error(), 0);
   EXPECT_LT(picture.estimated_error(), 1);
+}
+
+// A job whose film the test sets.
+struct OneJob {
+  explicit OneJob(const v1::JobSettings& settings_in)
+      : settings(settings_in),
+        film(std::make_shared<Film>(TileGrid(RegionOf(settings), settings.tile_size()))) {}
+
+  PictureSource Source() {
+    PictureSource source;
+    source.view = [this](JobId) {
+      std::lock_guard lock(mu);
+      return std::make_unique<PictureSource::JobView>(
+          PictureSource::JobView{settings, film->CommittedEnd(), is_sampling, film});
+    };
+    source.fold_tile = [](const Film& from, int64_t tile) { return from.Fold(tile); };
+    source.on_picture = [this](const PictureEvent& event) {
+      std::lock_guard lock(mu);
+      last = event;
+    };
+    source.on_finished = [this](const JobFinishedEvent&) { finished.set_value(); };
+    return source;
+  }
+
+  void Grow(PictureService& service, std::shared_ptr<const Film> more, bool sampling) {
+    {
+      std::lock_guard lock(mu);
+      film = std::move(more);
+      is_sampling = sampling;
+    }
+    for (int64_t tile = 0; tile < film->grid().num_tiles(); ++tile) service.TileChanged(1, tile);
+  }
+
+  const v1::JobSettings settings;
+  std::mutex mu;  // guards the next three
+  std::shared_ptr<const Film> film;
+  bool is_sampling = true;
+  PictureEvent last;
+  std::promise<void> finished;
+};
+
+std::shared_ptr<const Picture> FetchNow(PictureService& service, bool wait) {
+  std::promise<std::shared_ptr<const Picture>> promise;
+  service.Fetch(1, wait,
+                [&](std::shared_ptr<const Picture> picture) { promise.set_value(picture); });
+  return promise.get_future().get();
+}
+
+TEST(PictureService, LastPictureIsTheJobsAfterPreviews) {
+  const v1::JobSettings settings = Settings("bilateral");
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  OneJob job(settings);
+  PictureService service(job.Source(), 2);
+  EXPECT_EQ(FetchNow(service, false)->spp(), 0);
+  job.Grow(service, std::make_shared<const Film>(SyntheticFilm(1, grid, 2)), true);
+  // A blank picture is not served once there are samples.
+  const auto preview = FetchNow(service, false);
+  EXPECT_EQ(preview->spp(), 2);
+  EXPECT_FALSE(preview->is_refined());
+  const auto waited = FetchNow(service, true);
+  EXPECT_TRUE(waited->is_refined());
+  job.Grow(service, std::make_shared<const Film>(SyntheticFilm(1, grid, 8)), false);
+  service.Finish(1);
+  job.finished.get_future().wait();
+  const auto last = FetchNow(service, false);
+  EXPECT_EQ(last->spp(), 8);
+  EXPECT_TRUE(last->is_refined());
+  Picture fresh(settings);
+  fresh.Update(AllTiles(grid), From(*job.film), DenoiseQuality::kFinal, 1);
+  ExpectSame(*last, fresh, grid.region());
+  std::lock_guard lock(job.mu);
+  EXPECT_EQ(job.last.estimated_error, fresh.estimated_error());
+  EXPECT_GT(job.last.filter_core_seconds, 0);
+}
+
+TEST(ParallelFor, CallsEachOnce) {
+  for (const int num_threads : {1, 3}) {
+    for (const size_t count : {size_t{0}, size_t{2}, size_t{100}}) {
+      std::vector<std::atomic<int>> calls(count);
+      EXPECT_GE(ParallelFor(count, num_threads, [&](size_t i) { ++calls[i]; }), 0);
+      for (const std::atomic<int>& n : calls) EXPECT_EQ(n, 1);
+    }
+  }
+}
+
+TEST(ParallelFor, WaitingCostsNothing) {
+  // The first call blocks until the second has spun through 20 ms of its own CPU clock.
+  std::promise<void> spun;
+  const auto cpu_seconds = [] {
+    timespec now = {};
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+  };
+  double spent = 0;
+  const double total = ParallelFor(2, 2, [&](size_t i) {
+    if (i == 0) return spun.get_future().wait();
+    const double begin = cpu_seconds();
+    while (cpu_seconds() - begin < 0.02) {
+    }
+    spent = cpu_seconds() - begin;
+    spun.set_value();
+  });
+  EXPECT_GE(total, spent);
+  EXPECT_LT(total, 1.5 * spent);
 }
 
 TEST(Picture, RefusesWrongRegionsAndLayers) {
