@@ -48,7 +48,7 @@ void Coordinator::On(TickEvent&) {
     }
   }
   for (auto& [session, worker] : workers_) {
-    if (worker->leases.empty()) Race(*worker);
+    if (worker->leases.empty() && !IsSilent(*worker)) Race(*worker);
   }
   waiting_changed_ = true;
 }

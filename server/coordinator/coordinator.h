@@ -134,6 +134,7 @@ class Coordinator {
   void DropLease(LeaseId id, bool revoke);
   void DropLeasesOf(Job& job, const Unit& unit);
   void ExpireLeases();
+  bool IsSilent(const Worker& worker) const;
   bool FitsMemory(const Job& job) const;
   void UpdateWaiting();
   std::string WaitingReason(const Job& job) const;

@@ -261,7 +261,7 @@ void Coordinator::Fail(Job& job, const std::string& error) {
   StopWork(job);
   job.queue.reset();
   job.record.set_stop_reason(v1::STOP_REASON_FAILED);
-  job.record.set_error(error.substr(0, kErrorBytesMax));
+  job.record.set_error(CutText(error, kErrorBytesMax));
   SetState(job, v1::JOB_STATE_FAILED);
   StopWork(job);
   Save(job, job.film->samples() > 0);

@@ -122,7 +122,7 @@ void Coordinator::On(DeclineEvent& event) {
   const JobId id = it->second.job;
   Job& job = *jobs_.at(id);
   if (decline.reason() != v1::DeclineLease::REASON_DRAINING) {
-    job.last_decline = decline.detail().substr(0, kErrorBytesMax);
+    job.last_decline = CutText(decline.detail(), kErrorBytesMax);
     if (decline.reason() == v1::DeclineLease::REASON_MEMORY) {
       job.without_memory.insert(worker->key);
     } else {
@@ -172,6 +172,11 @@ bool Coordinator::CanServe(const Worker& worker, const Job& job) const {
   return std::ranges::find(classes, job.record.settings().isa()) != classes.end();
 }
 
+// Whether even the heartbeats stay away: what it has let expire is not for it again.
+bool Coordinator::IsSilent(const Worker& worker) const {
+  return now_.monotonic_ms - worker.seen.monotonic_ms >= config_.lease_ttl_ms;
+}
+
 // Whether the job's film is in memory already, or there is room for it.
 bool Coordinator::FitsMemory(const Job& job) const {
   if (job.film->samples() > 0 || job.samples_under_way > 0) return true;
@@ -191,7 +196,8 @@ void Coordinator::GrantAll() {
   while (granted) {
     granted = false;
     for (auto& [session, worker] : workers_) {
-      if (worker->leases.size() < worker->leases_max() && GrantOne(*worker)) granted = true;
+      if (IsSilent(*worker) || worker->leases.size() >= worker->leases_max()) continue;
+      if (GrantOne(*worker)) granted = true;
     }
   }
 }

@@ -15,6 +15,15 @@ namespace tessera {
 // the resolved and the filtered planes.
 inline int64_t FilmBytesOf(const TileGrid& grid) { return grid.region().area() * 520; }
 
+// The text's first `bytes_max` bytes, less a character that they would cut: a record with half a
+// character could not be read back.
+inline std::string CutText(const std::string& text, size_t bytes_max) {
+  size_t size = std::min(text.size(), bytes_max);
+  const auto continues = [&](size_t i) { return (static_cast<unsigned char>(text[i]) >> 6) == 2; };
+  while (size > 0 && size < text.size() && continues(size)) --size;
+  return text.substr(0, size);
+}
+
 struct Coordinator::Job {
   JobId id = 0;
   std::string request_id;

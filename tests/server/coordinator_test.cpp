@@ -132,6 +132,7 @@ TEST(Coordinator, AnExpiredLeaseIsRenderedByAnotherAndTheLateDeltaIsDropped) {
   const SessionId other = farm.Connect(8);
   EXPECT_TRUE(farm.workers[other].leases.empty());
   farm.now_ms += 999;
+  farm.Post(HeartbeatEvent{other, {}});
   farm.Post(TickEvent{});
   EXPECT_EQ(farm.Job(job).progress().workers(), 2) << "an idle worker races stragglers";
   farm.now_ms += 1;
@@ -156,6 +157,20 @@ TEST(Coordinator, HeartbeatsKeepLeases) {
   }
   EXPECT_EQ(farm.workers[worker].leases.size(), ids.size());
   EXPECT_EQ(farm.workers[worker].leases.front().id(), ids.front());
+}
+
+TEST(Coordinator, WhatASilentWorkerLetExpireGoesToAnother) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(64));
+  const SessionId silent = farm.Connect(1), other = farm.Connect(1);
+  ASSERT_FALSE(farm.workers[silent].leases.empty());
+  farm.now_ms += 1000;
+  farm.Post(HeartbeatEvent{other, {}});
+  EXPECT_TRUE(farm.workers[silent].leases.empty());
+  EXPECT_FALSE(farm.workers[other].leases.empty());
+  while (farm.RenderOne(other)) {
+  }
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
 }
 
 TEST(Coordinator, HigherPriorityGoesFirstAndEqualsShare) {
@@ -294,6 +309,20 @@ TEST(Coordinator, ASceneFailureFailsItsJobOnly) {
   EXPECT_EQ(farm.Job(bad).error(), "scene.glb: truncated");
   farm.RunAll();
   EXPECT_EQ(farm.Job(good).state(), v1::JOB_STATE_DONE);
+}
+
+TEST(Coordinator, ALongErrorIsCutBetweenCharacters) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(16));
+  const SessionId worker = farm.Connect();
+  v1::SceneFailure failure;
+  failure.set_job(JobName(job));
+  failure.set_error("x");
+  for (int i = 0; i < 3000; ++i) failure.mutable_error()->append("\xc3\xa9");
+  farm.Post(SceneFailureEvent{worker, failure});
+  EXPECT_EQ(farm.Job(job).error().size(), 4095u);
+  v1::Job read;
+  EXPECT_TRUE(read.ParseFromString(farm.Job(job).SerializeAsString()));
 }
 
 TEST(Coordinator, AnotherVersionIsRefusedWithTheRemedy) {
