@@ -133,18 +133,25 @@ std::optional<int64_t> PictureService::DueMs(const Entry& entry) {
 }
 
 JobId PictureService::Choose(int64_t now_ms, int64_t* sleep_ms) const {
-  JobId due = 0;
+  JobId urgent = 0, due = 0;
+  // In turn, so that a job that is asked for all the time keeps no other from its end.
+  const auto take_turn = [this](JobId id, const Entry& entry, JobId* first) {
+    if (*first == 0 || entry.last_round < entries_.at(*first).last_round) *first = id;
+  };
   for (const auto& [id, entry] : entries_) {
-    if (entry.refine || entry.finish || !entry.waiting.empty()) return id;
+    if (entry.refine || entry.finish || !entry.waiting.empty()) {
+      take_turn(id, entry, &urgent);
+      continue;
+    }
     const std::optional<int64_t> due_ms = DueMs(entry);
     if (!due_ms) continue;
     if (*due_ms <= now_ms) {
-      due = due == 0 ? id : due;
+      take_turn(id, entry, &due);
     } else {
       *sleep_ms = std::min(*sleep_ms, *due_ms - now_ms);
     }
   }
-  return due;
+  return urgent != 0 ? urgent : due;
 }
 
 void PictureService::Abandon(JobId job) {
@@ -191,18 +198,26 @@ double PictureService::UpdatePicture(JobId job, const PictureSource::JobView& vi
 }
 
 void PictureService::RunRound(JobId job) {
+  bool refine = false;
+  {
+    std::lock_guard lock(mu_);
+    Entry& entry = entries_[job];
+    refine = std::exchange(entry.refine, false);
+    entry.last_round = ++num_rounds_;
+  }
   // The committed state is read before the changes are taken: the picture shows at least that.
   const std::unique_ptr<PictureSource::JobView> view = source_.view(job);
   if (view == nullptr) return Abandon(job);
   std::vector<Done> waiting;
   bool finish = false;
-  bool refine = !view->is_sampling;
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
     waiting = std::exchange(entry.waiting, {});
     finish = std::exchange(entry.finish, false);
-    refine |= std::exchange(entry.refine, false) || finish;
+    // What has been asked for since the round began leads to another one, as the view may be older;
+    // if it is not, this round's answer counts and must have the job's quality.
+    refine |= !view->is_sampling || entry.refine || finish;
     entry.wanted = false;
   }
   const int64_t begin_ms = MonotonicMs();

@@ -79,6 +79,7 @@ class PictureService {
     int64_t not_before_ms = 0;
     int64_t refine_at_ms = 0;  // unless more tiles change
     int64_t used_ms = 0;
+    int64_t last_round = 0;  // its number
   };
 
   void Run();
@@ -101,6 +102,7 @@ class PictureService {
   std::mutex mu_;  // guards all below
   std::condition_variable wake_;
   std::map<JobId, Entry> entries_;
+  int64_t num_rounds_ = 0;
   bool stopping_ = false;
   std::thread thread_;
 };

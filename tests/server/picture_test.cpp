@@ -5,8 +5,10 @@
 
 #include <atomic>
 #include <bit>
+#include <chrono>
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <future>
 
 #include "core/image/layers.h"
@@ -239,6 +241,52 @@ TEST(PictureService, LastPictureIsTheJobsAfterPreviews) {
   std::lock_guard lock(job.mu);
   EXPECT_EQ(job.last.estimated_error, fresh.estimated_error());
   EXPECT_GT(job.last.filter_core_seconds, 0);
+}
+
+// The last delta of an epoch may be merged just after a round has read the job.
+TEST(PictureService, AnEvaluationThatIsAskedForDuringARoundIsAnswered) {
+  const v1::JobSettings settings = Settings("none");
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  OneJob job(settings);
+  PictureSource source = job.Source();
+  PictureService* running = nullptr;
+  source.view = [&, view = source.view](JobId id) {
+    auto read = view(id);
+    if (read->committed_spp == 0) {
+      job.Grow(*running, std::make_shared<const Film>(SyntheticFilm(1, grid, 8)), true);
+      running->Evaluate(id);
+    }
+    return read;
+  };
+  std::promise<void> answered;
+  source.on_picture = [&, is_first = true](const PictureEvent& event) mutable {
+    if (event.committed_spp == 8 && is_first) {
+      is_first = false;
+      answered.set_value();
+    }
+  };
+  PictureService service(source, 1);
+  running = &service;
+  FetchNow(service, false);
+  EXPECT_EQ(answered.get_future().wait_for(std::chrono::seconds(5)), std::future_status::ready);
+  service.Stop();
+}
+
+// Of two jobs that are asked for without end, each gets its turn.
+TEST(PictureService, AJobInDemandKeepsNoOtherWaiting) {
+  OneJob job(Settings("none"));
+  PictureService service(job.Source(), 1);
+  std::atomic<bool> is_over{false};
+  std::function<void(std::shared_ptr<const Picture>)> again = [&](const auto& picture) {
+    if (picture != nullptr && !is_over) service.Fetch(1, true, again);
+  };
+  service.Fetch(1, true, again);
+  service.Fetch(1, true, again);
+  std::promise<void> served;
+  service.Fetch(2, true, [&](const auto&) { served.set_value(); });
+  EXPECT_EQ(served.get_future().wait_for(std::chrono::seconds(5)), std::future_status::ready);
+  is_over = true;
+  service.Stop();
 }
 
 TEST(ParallelFor, CallsEachOnce) {
