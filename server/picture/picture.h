@@ -37,6 +37,8 @@ class Picture {
   double Update(const std::vector<int64_t>& changed, const TileSource& source,
                 DenoiseQuality quality, int num_threads);
 
+  // The pixels that it has.
+  const PixelRect& region() const { return grid_.region(); }
   // Grows with each Update.
   uint64_t version() const;
   // Whether all of it is at the job's quality.
