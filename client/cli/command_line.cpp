@@ -233,6 +233,10 @@ int RunCommandLine(int argc, const char* const* argv, const CommandLineParts& pa
   } catch (const CLI::Success& help_or_version) {
     return table.app().exit(help_or_version);
   } catch (const CLI::ParseError& error) {
+    if (argc > 1 && argv[1][0] != '-' && table.app().get_subcommands().empty()) {
+      PrintError(absl::StrCat("'", argv[1], "' is no command: 'tessera --help' lists them all"));
+      return kExitBadInput;
+    }
     PrintError(absl::StrCat(error.what(), ": see 'tessera --help' or 'tessera COMMAND --help'"));
     return kExitBadInput;
   }

@@ -164,6 +164,15 @@ void ReadServing(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* s
                   [&](int64_t v) { settings->set_priority(static_cast<int>(v)); });
 }
 
+// What of a film's budget goes on: a new goal replaces its goal, and how long the last render took
+// is not how long this one may, unless nothing else would ever end it.
+void TakeUpBudget(const SceneFlags& flags, v1::JobSettings* settings) {
+  if (!flags.target_error.empty()) settings->clear_spp();
+  if (!flags.target_error.empty() || !flags.spp.empty()) settings->clear_target_error();
+  const bool open_ended = settings->spp() == kSppOpenEnded && settings->target_error() == 0;
+  if (!open_ended || !flags.spp.empty()) settings->clear_max_time();
+}
+
 bool SameAssets(const v1::JobSettings& a, const v1::JobSettings& b) {
   const auto digest_of = [](const v1::JobSettings& settings, const std::string& name) {
     for (const v1::AssetRef& asset : settings.assets()) {
@@ -192,8 +201,7 @@ absl::StatusOr<v1::JobSettings> SettingsFromFlags(const SceneFlags& flags,
   v1::JobSettings settings;
   if (film != nullptr) {
     settings = *film;
-    settings.clear_target_error();
-    settings.clear_max_time();
+    TakeUpBudget(flags, &settings);
   } else {
     settings.set_width(640);
     settings.set_height(360);

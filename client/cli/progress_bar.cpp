@@ -15,6 +15,11 @@ namespace {
 
 constexpr int kBarCells = 24;
 
+double MaxSeconds(const v1::Job& job) {
+  const google::protobuf::Duration& time = job.settings().max_time();
+  return static_cast<double>(time.seconds()) + 1e-9 * time.nanos();
+}
+
 size_t TerminalColumns() {
   winsize size = {};
   if (ioctl(STDERR_FILENO, TIOCGWINSZ, &size) != 0 || size.ws_col < 20) return 80;
@@ -45,6 +50,10 @@ void ProgressBar::ShowJob(const v1::Job& job) {
     const double rate = static_cast<double>(progress.samples() - first_samples_) / elapsed;
     seconds_left = static_cast<double>(progress.samples_total() - progress.samples()) / rate;
   }
+  if (job.settings().has_max_time() && first_samples_ >= 0) {
+    const double time_left = std::fmax(0, MaxSeconds(job) - elapsed);
+    seconds_left = seconds_left < 0 ? time_left : std::fmin(seconds_left, time_left);
+  }
   Draw(ProgressLine(job, seconds_left));
 }
 
@@ -70,16 +79,23 @@ void ProgressBar::Draw(const std::string& line) {
 
 std::string ProgressLine(const v1::Job& job, double seconds_left) {
   const v1::JobProgress& progress = job.progress();
-  const double fraction =
+  double fraction =
       progress.samples_total() > 0
           ? std::clamp(static_cast<double>(progress.samples()) /
                            static_cast<double>(progress.samples_total()), 0.0, 1.0)
           : 0.0;
+  if (job.settings().has_max_time() && seconds_left >= 0) {
+    fraction = std::max(fraction, 1 - std::min(1.0, seconds_left / MaxSeconds(job)));
+  }
   const int cells = static_cast<int>(fraction * kBarCells);
   std::string line = absl::StrFormat(
-      "[%s%s] %3d%%  %.1f/%d spp", std::string(static_cast<size_t>(cells), '#'),
+      "[%s%s] %3d%%  %.1f", std::string(static_cast<size_t>(cells), '#'),
       std::string(static_cast<size_t>(kBarCells - cells), '.'), static_cast<int>(fraction * 100),
-      progress.spp(), job.settings().spp());
+      progress.spp());
+  // A job that ends by time or error names no sample count worth showing.
+  const bool open_ended = job.settings().has_max_time() || job.settings().target_error() > 0;
+  if (!open_ended) absl::StrAppend(&line, "/", job.settings().spp());
+  absl::StrAppend(&line, " spp");
   if (progress.estimated_error() > 0) {
     absl::StrAppendFormat(&line, "  error %.3g", progress.estimated_error());
   }

@@ -149,6 +149,35 @@ TEST(Continue, FlagsThatAreNotGivenComeFromTheFilm) {
   EXPECT_EQ(Continuing({}).spp(), 16);
 }
 
+TEST(Continue, AFilmWithoutACountGoesOnToItsOwnGoal) {
+  SceneFlags flags;
+  flags.target_error = "0.02";
+  flags.max_time = "5";
+  const v1::JobSettings to_error = *SettingsFromFlags(flags, nullptr);
+  EXPECT_EQ(SettingsFromFlags({}, &to_error)->target_error(), 0.02);
+  EXPECT_FALSE(SettingsFromFlags({}, &to_error)->has_max_time());
+  flags.target_error.clear();
+  const v1::JobSettings by_time = *SettingsFromFlags(flags, nullptr);
+  EXPECT_EQ(SettingsFromFlags({}, &by_time)->max_time().seconds(), 5);
+
+  SceneFlags count;
+  count.spp = "64";
+  for (const v1::JobSettings& film : {to_error, by_time}) {
+    const v1::JobSettings job = *SettingsFromFlags(count, &film);
+    EXPECT_EQ(job.spp(), 64);
+    EXPECT_EQ(job.target_error(), 0);
+    EXPECT_FALSE(job.has_max_time());
+  }
+}
+
+TEST(Continue, ATargetErrorReplacesTheFilmsCount) {
+  SceneFlags flags;
+  flags.target_error = "0.02";
+  const v1::JobSettings job = Continuing(flags);
+  EXPECT_EQ(job.spp(), kSppOpenEnded);
+  EXPECT_EQ(job.target_error(), 0.02);
+}
+
 TEST(Continue, WhatMovesBitsMustBeEqual) {
   const auto error_of = [](const v1::JobSettings& job) {
     const absl::Status status = CheckContinues(FilmSettings(), job);

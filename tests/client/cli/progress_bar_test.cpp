@@ -25,6 +25,20 @@ TEST(ProgressLine, ShowsShareSppErrorAndTimeLeft) {
   EXPECT_THAT(ProgressLine(job, -1), Not(HasSubstr("ETA")));
 }
 
+TEST(ProgressLine, AJobThatEndsByTimeShowsItsShareOfTheTime) {
+  v1::Job job;
+  job.set_state(v1::JOB_STATE_RUNNING);
+  job.mutable_settings()->set_spp(65536);
+  job.mutable_settings()->mutable_max_time()->set_seconds(60);
+  job.mutable_progress()->set_samples(3);
+  job.mutable_progress()->set_samples_total(65536);
+  job.mutable_progress()->set_spp(3);
+  const std::string line = ProgressLine(job, 15);
+  EXPECT_THAT(line, HasSubstr(" 75%"));
+  EXPECT_THAT(line, HasSubstr("3.0 spp"));
+  EXPECT_THAT(line, Not(HasSubstr("65536")));
+}
+
 TEST(ProgressLine, EmptyAndOverfullJobs) {
   v1::Job job;
   EXPECT_THAT(ProgressLine(job, -1), HasSubstr("  0%"));
