@@ -1,8 +1,9 @@
 // How honest the calibrated variance of the mean is on path-traced views (docs/statistics.md):
 // coverage of 95 % intervals against a reference of other seeds and their width over that of the
 // true standard deviation (from all seeds), beside the samples' own variance and equal pooling.
-//   coverage_bench SCENE... --look-from X,Y,Z --look-at X,Y,Z --fov-y DEG [--env FILE | --sky R,G,B]
-//     [--size WxH] [--frame WxH] [--spp N,N,...] [--seeds N] [--reference-spp N] [--check]
+//   coverage_bench SCENE... [--look-from X,Y,Z --look-at X,Y,Z --fov-y DEG]
+//     [--env FILE | --sky R,G,B] [--size WxH] [--frame WxH] [--spp N,N,...] [--seeds N]
+//     [--reference-spp N] [--check]
 // --frame: the picture that --size is the middle of; without it, --size is the whole picture.
 // --check: exit code 1 unless the intervals keep contract C1 (each scene, and all pooled).
 #include <CLI/CLI.hpp>
@@ -237,7 +238,8 @@ int main(int argc, char** argv) {
   int width = 0, height = 0;
   if (options.frame.empty()) options.frame = options.size;
   if (std::sscanf(options.size.c_str(), "%dx%d", &width, &height) != 2 ||
-      std::sscanf(options.frame.c_str(), "%dx%d", &options.frame_width, &options.frame_height) != 2 ||
+      std::sscanf(options.frame.c_str(), "%dx%d", &options.frame_width,
+                  &options.frame_height) != 2 ||
       width < 1 || height < 1 || width > options.frame_width || height > options.frame_height) {
     std::fprintf(stderr, "--size must be WxH and lie inside --frame WxH\n");
     return 2;
@@ -250,8 +252,8 @@ int main(int argc, char** argv) {
     return 2;
   }
   if (options.check && !*keeps) {
-    std::fprintf(stderr, "the intervals break contract C1: 93-97 %% over all scenes, 90-98 %% in each, "
-                         "width at most 1.3\n");
+    std::fprintf(stderr, "the intervals break contract C1: 93-97 %% over all scenes, 90-98 %% in "
+                         "each, width at most 1.3\n");
     return 1;
   }
   return 0;
