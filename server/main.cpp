@@ -49,7 +49,7 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
   app.add_option("--data-dir", service.data_dir,
                  "Folder of jobs, films and assets; without it they live in memory");
   app.add_option("--quota", service.data_bytes_max,
-                 "Bytes of assets, e.g. 64GB; 0 = unlimited")
+                 "Bytes of assets and films, e.g. 64GB; 0 = unlimited")
       ->transform(CLI::AsSizeValue(false))
       ->capture_default_str();
   app.add_option("--lease-ttl", arguments.lease_ttl_seconds,

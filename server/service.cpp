@@ -156,6 +156,7 @@ absl::Status Service::Impl::OpenStore(const ServiceOptions& options) {
   auto assets = AssetStore::Open(data_dir_ ? data_dir_->Path("assets") : "", bytes_max);
   if (!assets.ok()) return assets.status();
   assets_ = *std::move(assets);
+  if (films_) assets_->ShareQuotaWith([this] { return films_->bytes(); });
   return absl::OkStatus();
 }
 

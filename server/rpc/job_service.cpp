@@ -44,6 +44,7 @@ absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* re
     digests.push_back(*Sha256FromBytes(asset.sha256()));
   }
   CreateJobEvent event{.settings = *settings, .request_id = request.request_id(), .film = nullptr};
+  if (absl::Status status = assets_.CheckQuota(); !status.ok()) return status;
   if (absl::Status status = assets_.CheckPresent(digests); !status.ok()) return status;
   if (!request.continue_film_sha256().empty()) {
     absl::StatusOr<std::shared_ptr<Film>> film =

@@ -177,9 +177,14 @@ absl::Status AssetStore::Complete(const Sha256Digest& digest, Upload& upload) {
   return absl::OkStatus();
 }
 
+absl::Status AssetStore::CheckQuota() {
+  std::lock_guard lock(mu_);
+  return MakeRoom(0, {});
+}
+
 absl::Status AssetStore::MakeRoom(int64_t bytes, const Sha256Digest& keep) {
   if (bytes_max_ == 0) return absl::OkStatus();
-  while (bytes_ + bytes > bytes_max_) {
+  while (bytes_ + other_bytes_() + bytes > bytes_max_) {
     // The file that was used longest ago and that no job needs.
     const Sha256Digest* oldest = nullptr;
     int64_t oldest_use = next_use_;

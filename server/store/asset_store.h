@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -70,6 +71,14 @@ class AssetStore {
 
   int64_t bytes() const;
 
+  // Counts `other_bytes()` (films) into the quota. Before any other call; it must outlive those.
+  void ShareQuotaWith(std::function<int64_t()> other_bytes) {
+    other_bytes_ = std::move(other_bytes);
+  }
+  // Whether what is stored keeps within the quota; drops what no job needs to get there.
+  // Errors: RESOURCE_EXHAUSTED.
+  absl::Status CheckQuota();
+
  private:
   struct Asset {
     int64_t size_bytes = 0;
@@ -98,6 +107,7 @@ class AssetStore {
 
   const std::string dir_;
   const int64_t bytes_max_;
+  std::function<int64_t()> other_bytes_ = [] { return 0; };
   mutable std::mutex mu_;  // guards all below
   std::map<Sha256Digest, Asset> assets_;
   std::map<Sha256Digest, Upload> uploads_;

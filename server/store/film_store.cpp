@@ -36,7 +36,18 @@ absl::StatusOr<std::unique_ptr<FilmStore>> FilmStore::Open(const std::string& di
     return absl::PermissionDeniedError(absl::StrCat("cannot create ", dir, ": ", error.message(),
                                                     "; choose another --data-dir"));
   }
-  return std::unique_ptr<FilmStore>(new FilmStore(dir));
+  std::unique_ptr<FilmStore> store(new FilmStore(dir));
+  for (const auto& entry : std::filesystem::directory_iterator(dir, error)) {
+    const auto size = static_cast<int64_t>(entry.file_size(error));
+    if (!error) store->bytes_ += size;
+  }
+  return store;
+}
+
+int64_t FilmStore::BytesOf(uint64_t job) const {
+  std::error_code missing;
+  const std::uintmax_t size = std::filesystem::file_size(PathOf(job), missing);
+  return missing ? 0 : static_cast<int64_t>(size);
 }
 
 std::string FilmStore::PathOf(uint64_t job) const { return absl::StrCat(dir_, "/", job, ".film"); }
@@ -60,7 +71,10 @@ absl::Status FilmStore::Save(uint64_t job, int64_t num_tiles, const NodeSource& 
   }
   const NodeHeader end;
   append(&end, sizeof(end));
-  return file->Commit();
+  const int64_t bytes_before = BytesOf(job);
+  const absl::Status status = file->Commit();
+  bytes_ += BytesOf(job) - bytes_before;
+  return status;
 }
 
 absl::StatusOr<std::shared_ptr<Film>> FilmStore::Load(uint64_t job, const TileGrid& grid) const {
@@ -93,8 +107,9 @@ absl::StatusOr<std::shared_ptr<Film>> FilmStore::Load(uint64_t job, const TileGr
 }
 
 void FilmStore::Remove(uint64_t job) const {
+  const int64_t bytes_before = BytesOf(job);
   std::error_code ignored;
-  std::filesystem::remove(PathOf(job), ignored);
+  if (std::filesystem::remove(PathOf(job), ignored)) bytes_ -= bytes_before;
 }
 
 }  // namespace tessera

@@ -1,6 +1,7 @@
 // Films on disk: every node of every tile in the wire's coding, written beside and renamed.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -27,11 +28,16 @@ class FilmStore {
   absl::StatusOr<std::shared_ptr<Film>> Load(uint64_t job, const TileGrid& grid) const;
   void Remove(uint64_t job) const;
 
+  // Of all films that are stored.
+  int64_t bytes() const { return bytes_; }
+
  private:
   explicit FilmStore(std::string dir) : dir_(std::move(dir)) {}
   std::string PathOf(uint64_t job) const;
+  int64_t BytesOf(uint64_t job) const;  // 0 without a film
 
   const std::string dir_;
+  mutable std::atomic<int64_t> bytes_ = 0;
 };
 
 }  // namespace tessera

@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include "server/store/asset_store.h"
 #include "server/store/catalogue.h"
 #include "server/store/data_dir.h"
 #include "server/store/film_store.h"
@@ -68,6 +69,29 @@ TEST_F(StoreTest, FilmsComeBackBitForBit) {
     std::filesystem::resize_file(path, cut);
     EXPECT_TRUE(absl::IsDataLoss(films->Load(5, grid).status())) << cut;
   }
+}
+
+TEST_F(StoreTest, FilmsCountIntoTheQuota) {
+  auto films = *FilmStore::Open(dir_ + "/films");
+  const TileGrid grid(PixelRect::FromSize(0, 0, 16, 16), 16);
+  const Film film = SyntheticFilm(4, grid, 2);
+  const auto nodes = [&](int64_t tile) { return film.Nodes(tile); };
+  ASSERT_TRUE(films->Save(5, grid.num_tiles(), nodes).ok());
+  const int64_t bytes = films->bytes();
+  EXPECT_EQ(bytes, static_cast<int64_t>(std::filesystem::file_size(dir_ + "/films/5.film")));
+  ASSERT_TRUE(films->Save(5, grid.num_tiles(), nodes).ok());
+  EXPECT_EQ(films->bytes(), bytes) << "a film that replaces another";
+  EXPECT_EQ((*FilmStore::Open(dir_ + "/films"))->bytes(), bytes) << "after a restart";
+
+  auto assets = *AssetStore::Open(dir_ + "/assets", bytes);
+  assets->ShareQuotaWith([&] { return films->bytes(); });
+  EXPECT_TRUE(assets->CheckQuota().ok());
+  const absl::Status full = assets->Append(Sha256Of("x"), 1, 0, "x").status();
+  EXPECT_EQ(full.code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_NE(full.message().find("--quota"), absl::string_view::npos) << full;
+  films->Remove(5);
+  EXPECT_EQ(films->bytes(), 0);
+  EXPECT_TRUE(assets->Append(Sha256Of("x"), 1, 0, "x").ok());
 }
 
 TEST_F(StoreTest, OneServerPerFolder) {
