@@ -173,6 +173,10 @@ const std::vector<std::string>& IsaClasses() {
 
 absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
                                                  const SettingsDefaults& defaults) {
+  if (settings.ByteSizeLong() > kSettingsBytesMax) {
+    return Invalid("settings have ", settings.ByteSizeLong(), " bytes, more than ",
+                   kSettingsBytesMax, ": join the scene's files, as a .glb does");
+  }
   if (settings.isa().empty()) settings.set_isa(IsaClasses().front());
   if (settings.tile_size() == 0) settings.set_tile_size(defaults.tile_size);
   if (settings.quality() == v1::QUALITY_UNSPECIFIED) settings.set_quality(v1::QUALITY_FINAL);

@@ -33,6 +33,8 @@ inline constexpr int64_t kLeaseSamplesMax = int64_t{1} << 19;
 inline constexpr int kOpenStagesMax = 8;
 
 inline constexpr int kMessageBytesMax = 4 << 20;  // that the server receives
+// A job's settings travel in every Job and to every worker, whose messages have the same bound.
+inline constexpr int kSettingsBytesMax = 1 << 20;
 inline constexpr int kChunkBytesMax = 1 << 20;    // of one streamed message
 inline constexpr int kListPageMax = 1000;
 

@@ -39,6 +39,12 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
          s->mutable_region()->set_width(std::numeric_limits<int>::max());
          s->mutable_region()->set_height(1);
        }},
+      {"more than 1048576",
+       [](auto* s) {
+         while (s->ByteSizeLong() <= (1u << 20)) {
+           s->add_assets()->set_name(std::string(4000, 'x'));
+         }
+       }},
       {"spp", [](auto* s) { s->set_spp(0); }},
       {"spp", [](auto* s) { s->set_spp(int64_t{1} << 40); }},
       {"max_depth", [](auto* s) { s->set_max_depth(-1); }},
