@@ -1,5 +1,5 @@
-// Ctrl-C and SIGTERM while a command can end gracefully: the first asks it to stop, the second ends
-// the process at once (exit code 4).
+// Ctrl-C and SIGTERM while a command can end gracefully: the first asks it to stop, a later one
+// ends the process at once (exit code 4); one that follows at once is the same interruption.
 #pragma once
 
 #include <stop_token>

@@ -96,8 +96,11 @@ class Continue(CommandLineCase):
 
 
 class Interrupt(CommandLineCase):
-    def interrupt_render(self, *flags):
-        """Sends SIGINT once the progress bar shows samples; returns exit code, stdout, stderr."""
+    def interrupt_render(self, *flags, twice=False):
+        """Sends SIGINT once the progress bar shows samples; returns exit code, stdout, stderr.
+
+        twice: a second one at once, as timeout(1) sends it.
+        """
         terminal, stderr = pty.openpty()
         process = subprocess.Popen([TESSERA, "render", "triangle.glb", "--size", "128x128",
                                     "--spp", "1000000", *flags], cwd=self.folder, stderr=stderr,
@@ -108,6 +111,10 @@ class Interrupt(CommandLineCase):
         while not re.search(r"(?!0\.0)\d+\.\d/1000000 spp", shown):
             shown += os.read(terminal, 4096).decode()
         process.send_signal(signal.SIGINT)
+        if twice:
+            while "interrupted" not in shown:
+                shown += os.read(terminal, 4096).decode()
+            process.send_signal(signal.SIGINT)
         try:
             while True:
                 shown += os.read(terminal, 4096).decode()
@@ -116,6 +123,11 @@ class Interrupt(CommandLineCase):
         os.close(terminal)
         stdout, _ = process.communicate(timeout=TIMEOUT_SECONDS)
         return process.returncode, stdout, shown
+
+    def test_two_signals_at_once_are_one_interruption(self):
+        code, _, stderr = self.interrupt_render("-o", "twice.png", twice=True)
+        self.assertEqual(code, CANCELLED, stderr)
+        self.assertTrue(os.path.exists(os.path.join(self.folder, "twice.png")), stderr)
 
     def test_saves_the_picture_and_a_film_to_continue(self):
         code, stdout, stderr = self.interrupt_render("-o", "a.png", "--json")
