@@ -26,6 +26,12 @@ QueryContext NewContext(uint64_t key) {
   return context;
 }
 
+RTCRay ToEmbree(const Ray& ray) {
+  return {ray.origin.x,    ray.origin.y,    ray.origin.z,    0,
+          ray.direction.x, ray.direction.y, ray.direction.z, 0,
+          ray.t_max,       0xffffffffu,     0,               0};
+}
+
 struct FilteredHit {
   uint32_t instance;
   uint32_t triangle;
@@ -158,18 +164,7 @@ absl::Status EmbreeScene::DeviceStatus() const {
 bool EmbreeScene::Intersect(const Ray& ray, uint64_t key, RayHit* hit) const {
   QueryContext context = NewContext(key);
   RTCRayHit query;
-  query.ray = {ray.origin.x,
-               ray.origin.y,
-               ray.origin.z,
-               0,
-               ray.direction.x,
-               ray.direction.y,
-               ray.direction.z,
-               0,
-               ray.t_max,
-               0xffffffffu,
-               0,
-               0};
+  query.ray = ToEmbree(ray);
   query.hit.geomID = RTC_INVALID_GEOMETRY_ID;
   query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
   rtcIntersect1(world_.get(), &context.embree, &query);
@@ -182,18 +177,7 @@ bool EmbreeScene::Intersect(const Ray& ray, uint64_t key, RayHit* hit) const {
 
 float EmbreeScene::Transmittance(const Ray& ray) const {
   QueryContext context = NewContext(0);
-  RTCRay query = {ray.origin.x,
-                  ray.origin.y,
-                  ray.origin.z,
-                  0,
-                  ray.direction.x,
-                  ray.direction.y,
-                  ray.direction.z,
-                  0,
-                  ray.t_max,
-                  0xffffffffu,
-                  0,
-                  0};
+  RTCRay query = ToEmbree(ray);
   rtcOccluded1(world_.get(), &context.embree, &query);
   return query.tfar < 0 ? 0.f : context.transmittance;
 }
