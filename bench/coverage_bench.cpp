@@ -16,20 +16,19 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "bench/scene_view.h"
 #include "core/base/tile_grid.h"
 #include "core/film/frame_planes.h"
 #include "core/statistics/calibration.h"
 #include "worker/integrator/path_tracer.h"
-#include "worker/scene/scene_loader.h"
 
 namespace tessera {
 namespace {
 
 struct Options {
   std::vector<std::string> scenes;
-  std::string scene, env, size = "160x90", frame;
-  std::vector<double> from, at, sky;
-  double fov_y = 45;
+  std::string scene, size = "160x90", frame;
+  SceneView view;
   int frame_width = 0, frame_height = 0;
   PixelRect crop;  // the middle of the frame
   std::vector<int64_t> spp = {16, 64};
@@ -41,25 +40,8 @@ struct Options {
 constexpr uint64_t kReferenceSeed = 1000;
 
 absl::StatusOr<std::unique_ptr<PathTracer>> MakeTracer(const Options& options, uint64_t seed) {
-  const std::filesystem::path path = options.scene;
-  SceneRequest request;
-  request.scene_name = path.filename().string();
-  if (options.from.size() == 3 && options.at.size() == 3) {
-    request.camera.kind = CameraChoice::Kind::kLookAt;
-    request.camera.from = V3d(options.from[0], options.from[1], options.from[2]);
-    request.camera.at = V3d(options.at[0], options.at[1], options.at[2]);
-    request.camera.fov_y_degrees = options.fov_y;
-  }
-  if (!options.env.empty()) {
-    request.environment.kind = EnvironmentChoice::Kind::kMap;
-    request.environment.map_name = options.env;
-  } else if (options.sky.size() == 3) {
-    request.environment.kind = EnvironmentChoice::Kind::kSky;
-    request.environment.sky = V3d(options.sky[0], options.sky[1], options.sky[2]);
-  }
-  request.aspect = static_cast<double>(options.frame_width) / options.frame_height;
-  auto scene =
-      LoadScene(request, DirectoryReader(path.parent_path().empty() ? "." : path.parent_path()));
+  auto scene = LoadView(options.scene, options.view,
+                        static_cast<double>(options.frame_width) / options.frame_height);
   if (!scene.ok()) return scene.status();
   RenderSettings settings;
   settings.width = options.frame_width;
@@ -223,11 +205,7 @@ int main(int argc, char** argv) {
   tessera::Options options;
   CLI::App app("Coverage and width of calibrated 95 % intervals on a path-traced view");
   app.add_option("scenes", options.scenes)->required();
-  app.add_option("--look-from", options.from)->delimiter(',')->expected(3);
-  app.add_option("--look-at", options.at)->delimiter(',')->expected(3);
-  app.add_option("--fov-y", options.fov_y);
-  app.add_option("--env", options.env);
-  app.add_option("--sky", options.sky)->delimiter(',')->expected(3);
+  tessera::AddViewOptions(&app, &options.view);
   app.add_option("--size", options.size);
   app.add_option("--frame", options.frame);
   app.add_option("--spp", options.spp)->delimiter(',');

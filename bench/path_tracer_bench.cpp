@@ -9,28 +9,26 @@
 #include <chrono>
 #include <cstdio>
 #include <ctime>
-#include <filesystem>
 #include <memory>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "bench/scene_view.h"
 #include "core/base/tile_grid.h"
 #include "core/film/frame_planes.h"
 #include "core/image/exr_writer.h"
 #include "core/image/image_reader.h"
 #include "core/image/png_writer.h"
 #include "worker/integrator/path_tracer.h"
-#include "worker/scene/scene_loader.h"
 
 namespace tessera {
 namespace {
 
 struct Options {
-  std::string scene, env, out, png, reference, isa = "x86-64-v3";
-  std::vector<double> from, at, sky;
-  double fov_y = 45;
+  std::string scene, out, png, reference, isa = "x86-64-v3";
+  SceneView view;
   std::string size = "480x270";
   int width = 0, height = 0;
   int64_t spp = 16;
@@ -44,24 +42,8 @@ double Seconds() {
 }
 
 absl::StatusOr<std::unique_ptr<Scene>> Load(const Options& options) {
-  const std::filesystem::path path = options.scene;
-  SceneRequest request;
-  request.scene_name = path.filename().string();
-  if (options.from.size() == 3 && options.at.size() == 3) {
-    request.camera.kind = CameraChoice::Kind::kLookAt;
-    request.camera.from = V3d(options.from[0], options.from[1], options.from[2]);
-    request.camera.at = V3d(options.at[0], options.at[1], options.at[2]);
-    request.camera.fov_y_degrees = options.fov_y;
-  }
-  if (!options.env.empty()) {
-    request.environment.kind = EnvironmentChoice::Kind::kMap;
-    request.environment.map_name = options.env;
-  } else if (options.sky.size() == 3) {
-    request.environment.kind = EnvironmentChoice::Kind::kSky;
-    request.environment.sky = V3d(options.sky[0], options.sky[1], options.sky[2]);
-  }
-  request.aspect = static_cast<double>(options.width) / options.height;
-  return LoadScene(request, DirectoryReader(path.parent_path().empty() ? "." : path.parent_path()));
+  return LoadView(options.scene, options.view,
+                  static_cast<double>(options.width) / options.height);
 }
 
 // Renders all tiles of the frame on `threads` threads and resolves them into planes.
@@ -180,11 +162,7 @@ int main(int argc, char** argv) {
   tessera::Options options;
   CLI::App app("Renders a view with the path tracer alone and times it");
   app.add_option("scene", options.scene)->required();
-  app.add_option("--look-from", options.from)->delimiter(',')->expected(3);
-  app.add_option("--look-at", options.at)->delimiter(',')->expected(3);
-  app.add_option("--fov-y", options.fov_y);
-  app.add_option("--env", options.env);
-  app.add_option("--sky", options.sky)->delimiter(',')->expected(3);
+  tessera::AddViewOptions(&app, &options.view);
   app.add_option("--size", options.size);
   app.add_option("--spp", options.spp);
   app.add_option("--threads", options.threads);
