@@ -18,7 +18,7 @@ CoordinatorHost::Answer CoordinatorHost::Post(Event event) {
   std::lock_guard lock(mu_);
   const StepResult result = coordinator_.Step(std::move(event), Now());
   for (const Effect& effect : result.effects) sink_.Apply(effect);
-  return {result.status, result.job};
+  return {result.status, result.job, result.is_new};
 }
 
 }  // namespace tessera

@@ -28,6 +28,7 @@ class CoordinatorHost {
   struct Answer {
     absl::Status status;
     JobId job = 0;
+    bool is_new = false;  // CreateJobEvent
   };
   Answer Post(Event event);
 

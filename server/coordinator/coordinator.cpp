@@ -103,6 +103,12 @@ std::shared_ptr<const Film> Coordinator::FilmOf(JobId id) const {
   return it->second->film;
 }
 
+JobId Coordinator::JobOfRequest(const std::string& request_id) const {
+  const auto it = requests_.find(request_id);
+  if (request_id.empty() || it == requests_.end() || it->second.kind != "create") return 0;
+  return jobs_.contains(it->second.job) ? it->second.job : 0;
+}
+
 std::string Coordinator::RequestIdOf(JobId id) const {
   const auto it = jobs_.find(id);
   return it == jobs_.end() ? "" : it->second->request_id;

@@ -57,6 +57,8 @@ class Coordinator {
   // The job's film; null if the job does not exist, or has ended and its film is on disk only. Read
   // it only where Step cannot run, or after FinishJobEffect.
   std::shared_ptr<const Film> FilmOf(JobId job) const;
+  // The job that a creation with this request_id made; 0 if none did, or it was deleted since.
+  JobId JobOfRequest(const std::string& request_id) const;
   // The request_id that created the job; empty if there was none.
   std::string RequestIdOf(JobId job) const;
 
@@ -96,6 +98,7 @@ class Coordinator {
   Job* FindJob(JobId id);
   bool RepeatsRequest(const std::string& request_id, const std::string& kind, JobId* job);
   void RememberRequest(const std::string& request_id, const std::string& kind, JobId job);
+  void ForgetRequest(const std::string& request_id);
   // OK, or the status that the client gets.
   absl::Status Pause(Job& job);
   absl::Status Resume(Job& job);

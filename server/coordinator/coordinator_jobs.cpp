@@ -13,6 +13,7 @@ const char* CommandName(JobCommand command) {
     case JobCommand::kResume: return "resume";
     case JobCommand::kCancel: return "cancel";
     case JobCommand::kDelete: return "delete";
+    case JobCommand::kUndoCreate: return "undo";
   }
   return "";
 }
@@ -62,6 +63,10 @@ void Coordinator::RememberRequest(const std::string& request_id, const std::stri
   }
 }
 
+void Coordinator::ForgetRequest(const std::string& request_id) {
+  if (requests_.erase(request_id) > 0) std::erase(request_order_, request_id);
+}
+
 void Coordinator::On(CreateJobEvent& event) {
   if (RepeatsRequest(event.request_id, "create", &result_.job)) return;
   if (jobs_.size() >= kJobsMax) {
@@ -94,6 +99,7 @@ void Coordinator::On(CreateJobEvent& event) {
   }
   RememberRequest(event.request_id, "create", job->id);
   result_.job = job->id;
+  result_.is_new = true;
   Job& added = *jobs_.emplace(job->id, std::move(job)).first->second;
   int64_t asset_bytes = 0;
   for (const v1::AssetRef& asset : added.record.settings().assets()) {
@@ -183,6 +189,10 @@ void Coordinator::On(JobCommandEvent& event) {
     case JobCommand::kResume: result_.status = Resume(*job); break;
     case JobCommand::kCancel: result_.status = Cancel(*job); break;
     case JobCommand::kDelete: Delete(event.job); break;
+    case JobCommand::kUndoCreate:
+      ForgetRequest(job->request_id);
+      Delete(event.job);
+      break;
   }
   if (result_.status.ok()) RememberRequest(event.request_id, kind, event.job);
 }

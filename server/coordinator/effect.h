@@ -54,6 +54,7 @@ using Effect = std::variant<SendEffect, CloseSessionEffect, JobChangedEffect, Ti
 struct StepResult {
   absl::Status status;  // for the caller of the event
   JobId job = 0;        // CreateJobEvent: the job that it named
+  bool is_new = false;  // CreateJobEvent: whether it made that job, or repeats a request
   std::vector<Effect> effects;
 };
 

@@ -31,7 +31,8 @@ struct CreateJobEvent {
   std::string request_id;
   std::shared_ptr<Film> film;  // samples to start from; null = none. The job becomes its owner.
 };
-enum class JobCommand { kPause, kResume, kCancel, kDelete };
+// kUndoCreate: as if the job had never been asked for; its request_id is free again.
+enum class JobCommand { kPause, kResume, kCancel, kDelete, kUndoCreate };
 struct JobCommandEvent {
   JobCommand command;
   JobId job = 0;

@@ -37,6 +37,12 @@ JobService::JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watc
       save_(std::move(save)) {}
 
 absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* response) {
+  const JobId repeated =
+      host_.Read([&](const Coordinator& c) { return c.JobOfRequest(request.request_id()); });
+  if (repeated != 0) {
+    if (absl::Status status = save_(repeated); !status.ok()) return status;
+    return Get(JobName(repeated), response);
+  }
   absl::StatusOr<v1::JobSettings> settings = CompleteSettings(request.settings(), defaults_);
   if (!settings.ok()) return settings.status();
   std::vector<Sha256Digest> digests;
@@ -59,7 +65,8 @@ absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* re
   if (!Get(JobName(answer.job), response).ok()) assets_.Release(answer.job);
   if (status.ok()) status = save_(answer.job);
   if (!status.ok()) {
-    host_.Post(JobCommandEvent{JobCommand::kDelete, answer.job, ""});
+    // A job that another call of the same request has made stays what it is.
+    if (answer.is_new) host_.Post(JobCommandEvent{JobCommand::kUndoCreate, answer.job, ""});
     return status;
   }
   ServerLog().info("job={} created {}x{} spp={} priority={}", answer.job, settings->width(),

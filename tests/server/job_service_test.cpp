@@ -1,0 +1,88 @@
+#include "server/rpc/job_service.h"
+
+#include <atomic>
+
+#include <grpcpp/grpcpp.h>
+#include <gtest/gtest.h>
+
+#include "tests/server/simulated_farm.h"
+
+namespace tessera {
+namespace {
+
+class NoEffects : public EffectSink {
+ public:
+  void Apply(const Effect&) override {}
+};
+
+// The service alone, reached without a socket; saving fails when the test says so.
+class JobServiceTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    grpc::ServerBuilder builder;
+    builder.RegisterService(&service_);
+    server_ = builder.BuildAndStart();
+    stub_ = v1::JobService::NewStub(server_->InProcessChannel({}));
+    settings_.mutable_assets(0)->set_sha256(ToBytes(Sha256Of("a scene")));
+    settings_.mutable_assets(0)->set_size_bytes(7);
+    ASSERT_TRUE(assets_->Append(Sha256Of("a scene"), 7, 0, "a scene").ok());
+  }
+  grpc::Status Create(const std::string& request_id, v1::Job* job) {
+    grpc::ClientContext context;
+    v1::CreateJobRequest request;
+    *request.mutable_settings() = settings_;
+    request.set_request_id(request_id);
+    return stub_->CreateJob(&context, request, job);
+  }
+  size_t NumJobs() {
+    return host_.Read([](const Coordinator& c) { return c.ListJobs(0, 100).size(); });
+  }
+
+  NoEffects effects_;
+  CoordinatorHost host_{SmallConfig(), effects_};
+  std::unique_ptr<AssetStore> assets_ = *AssetStore::Open("", 1000);
+  WatchHub watchers_{{.get_job = [](JobId, v1::Job*) { return false; },
+                      .added = [](JobId) {},
+                      .removed = [](JobId) {}}};
+  std::atomic<bool> disk_is_full_ = false;
+  JobService service_{host_, *assets_, watchers_, SmallConfig().defaults, [this](JobId) {
+                        return disk_is_full_ ? absl::InternalError("the disk is full")
+                                             : absl::OkStatus();
+                      }};
+  v1::JobSettings settings_ = SmallSettings();
+  std::unique_ptr<grpc::Server> server_;
+  std::unique_ptr<v1::JobService::Stub> stub_;
+};
+
+TEST_F(JobServiceTest, ARepeatedCreationThatCannotBeSavedLeavesTheJobAlone) {
+  v1::Job job, repeated;
+  ASSERT_TRUE(Create("r1", &job).ok());
+  disk_is_full_ = true;
+  EXPECT_FALSE(Create("r1", &repeated).ok());
+  EXPECT_EQ(NumJobs(), 1u);
+  disk_is_full_ = false;
+  ASSERT_TRUE(Create("r1", &repeated).ok());
+  EXPECT_EQ(repeated.name(), job.name());
+}
+
+TEST_F(JobServiceTest, ACreationThatCannotBeSavedCanBeRepeated) {
+  v1::Job job;
+  disk_is_full_ = true;
+  EXPECT_FALSE(Create("r1", &job).ok());
+  EXPECT_EQ(NumJobs(), 0u);
+  disk_is_full_ = false;
+  ASSERT_TRUE(Create("r1", &job).ok()) << "it is new, not the one that was taken back";
+  EXPECT_EQ(NumJobs(), 1u);
+}
+
+// By then the quota may be full, or assets gone.
+TEST_F(JobServiceTest, ARepeatedCreationNeedsNothingOfANewOne) {
+  v1::Job job, repeated;
+  ASSERT_TRUE(Create("r1", &job).ok());
+  settings_.mutable_assets(0)->set_sha256(std::string(32, 'z'));
+  ASSERT_TRUE(Create("r1", &repeated).ok());
+  EXPECT_EQ(repeated.name(), job.name());
+}
+
+}  // namespace
+}  // namespace tessera
