@@ -264,13 +264,17 @@ absl::StatusOr<std::string> AssetStore::Read(const Sha256Digest& digest, int64_t
   return bytes;
 }
 
-StoredFile::~StoredFile() {
-  std::error_code ignored;
-  if (is_copy_) fs::remove(path_, ignored);
-}
-
-absl::StatusOr<StoredFile> AssetStore::OpenFile(const Sha256Digest& digest) const {
-  if (!dir_.empty() && Has(digest)) return StoredFile(PathOf(digest), false);
+absl::StatusOr<StoredFile> AssetStore::OpenFile(const Sha256Digest& digest) {
+  if (!dir_.empty()) {
+    std::lock_guard lock(mu_);
+    if (const auto it = assets_.find(digest); it != assets_.end()) {
+      ++it->second.references;
+      return StoredFile(PathOf(digest), [this, digest] {
+        std::lock_guard close_lock(mu_);
+        --assets_.at(digest).references;
+      });
+    }
+  }
   const absl::StatusOr<std::string> bytes =
       Read(digest, 0, std::numeric_limits<int64_t>::max());
   if (!bytes.ok()) return bytes.status();
@@ -281,7 +285,10 @@ absl::StatusOr<StoredFile> AssetStore::OpenFile(const Sha256Digest& digest) cons
         absl::StrCat("cannot write ", path, ": ", std::strerror(errno)));
   }
   close(descriptor);
-  StoredFile copy(path, true);
+  StoredFile copy(path, [path] {
+    std::error_code ignored;
+    fs::remove(path, ignored);
+  });
   std::ofstream file(path, std::ios::binary);
   file.write(bytes->data(), static_cast<std::streamsize>(bytes->size()));
   file.close();
@@ -322,10 +329,7 @@ void AssetStore::Release(uint64_t job) {
   std::lock_guard lock(mu_);
   const auto it = references_.find(job);
   if (it == references_.end()) return;
-  for (const Sha256Digest& digest : it->second) {
-    const auto asset = assets_.find(digest);
-    if (asset != assets_.end() && --asset->second.references == 0) Drop(digest);
-  }
+  for (const Sha256Digest& digest : it->second) --assets_.at(digest).references;
   references_.erase(it);
 }
 

@@ -19,20 +19,23 @@
 
 namespace tessera {
 
-// An asset as a file that can be opened by its path: the store's own, or a temporary copy that goes
-// with this object.
+// An asset as a file that can be opened by its path: the store's own, which is kept while this
+// object lives, or a temporary copy that goes with it. Must not outlive the store.
 class StoredFile {
  public:
-  StoredFile(std::string path, bool is_copy) : path_(std::move(path)), is_copy_(is_copy) {}
+  StoredFile(std::string path, std::function<void()> close)
+      : path_(std::move(path)), close_(std::move(close)) {}
   StoredFile(StoredFile&& other) noexcept
-      : path_(std::move(other.path_)), is_copy_(std::exchange(other.is_copy_, false)) {}
+      : path_(std::move(other.path_)), close_(std::exchange(other.close_, nullptr)) {}
   StoredFile& operator=(StoredFile&&) = delete;
-  ~StoredFile();
+  ~StoredFile() {
+    if (close_) close_();
+  }
   const std::string& path() const { return path_; }
 
  private:
   std::string path_;
-  bool is_copy_;
+  std::function<void()> close_;
 };
 
 class AssetStore {
@@ -60,13 +63,14 @@ class AssetStore {
   absl::StatusOr<std::string> Read(const Sha256Digest& digest, int64_t offset,
                                    int64_t bytes_max) const;
   // For libraries that read files only. Errors: NOT_FOUND; RESOURCE_EXHAUSTED (temporary folder).
-  absl::StatusOr<StoredFile> OpenFile(const Sha256Digest& digest) const;
+  absl::StatusOr<StoredFile> OpenFile(const Sha256Digest& digest);
 
   // Errors: FAILED_PRECONDITION naming what is missing.
   absl::Status CheckPresent(const std::vector<Sha256Digest>& digests) const;
   // Keeps the assets while `job` lives. Errors: as CheckPresent.
   absl::Status Reference(uint64_t job, const std::vector<Sha256Digest>& digests);
-  // Drops the job's references, and assets that no other job needs.
+  // Drops the job's references. Assets that no job needs any more stay until others need their
+  // room: a client may have been told just now that it need not send them.
   void Release(uint64_t job);
 
   int64_t bytes() const;
@@ -83,7 +87,7 @@ class AssetStore {
   struct Asset {
     int64_t size_bytes = 0;
     int64_t use = 0;  // order of last use
-    int references = 0;
+    int references = 0;  // of jobs, and of files that are open
     std::shared_ptr<const std::string> content{};  // in memory; shared with readers
   };
   struct Upload {

@@ -69,7 +69,8 @@ TEST_P(AssetStoreTest, MakesRoomOnlyFromWhatNoJobNeeds) {
   EXPECT_LE(store_->bytes(), 10);
 }
 
-TEST_P(AssetStoreTest, AJobsAssetsGoWithTheLastJobThatNeedsThem) {
+TEST_P(AssetStoreTest, AJobsAssetsMakeRoomOnceNoJobNeedsThem) {
+  Open(10);
   ASSERT_TRUE(Put("shared").ok());
   ASSERT_TRUE(Put("own").ok());
   ASSERT_TRUE(store_->Reference(1, {Sha256Of("shared"), Sha256Of("own")}).ok());
@@ -78,10 +79,42 @@ TEST_P(AssetStoreTest, AJobsAssetsGoWithTheLastJobThatNeedsThem) {
   EXPECT_TRUE(absl::IsFailedPrecondition(missing));
   EXPECT_NE(missing.message().find(ToHex(Sha256Of("absent"))), absl::string_view::npos);
   store_->Release(1);
+  EXPECT_TRUE(store_->Has(Sha256Of("own"))) << "another client may count on it";
+  ASSERT_TRUE(Put("next").ok());
   EXPECT_TRUE(store_->Has(Sha256Of("shared")));
   EXPECT_FALSE(store_->Has(Sha256Of("own")));
   store_->Release(2);
-  EXPECT_EQ(store_->bytes(), 0);
+  ASSERT_TRUE(Put("last").ok());
+  EXPECT_FALSE(store_->Has(Sha256Of("shared")));
+}
+
+// FindMissing has told a client that it need not send what another client's job releases then.
+TEST_P(AssetStoreTest, WhatWasAskedForOutlivesTheJobThatHadIt) {
+  Open(12);
+  ASSERT_TRUE(Put("aaaa").ok());
+  ASSERT_TRUE(Put("bbbb").ok());
+  ASSERT_TRUE(store_->Reference(1, {Sha256Of("aaaa")}).ok());
+  EXPECT_EQ(store_->ReceivedBytes(Sha256Of("aaaa")), 4);
+  store_->Release(1);
+  ASSERT_TRUE(Put("cccc").ok());
+  ASSERT_TRUE(Put("dddd").ok()) << "takes the room of what was used longest ago";
+  EXPECT_FALSE(store_->Has(Sha256Of("bbbb")));
+  EXPECT_TRUE(store_->Reference(2, {Sha256Of("aaaa")}).ok());
+}
+
+TEST_P(AssetStoreTest, AnOpenFileStays) {
+  Open(10);
+  ASSERT_TRUE(Put("aaaa").ok());
+  {
+    const absl::StatusOr<StoredFile> file = store_->OpenFile(Sha256Of("aaaa"));
+    ASSERT_TRUE(file.ok());
+    (void)Put("0123456789");  // needs all the room that there is
+    std::ifstream reader(file->path());
+    std::string bytes;
+    EXPECT_TRUE(reader >> bytes);
+    EXPECT_EQ(bytes, "aaaa");
+  }
+  EXPECT_TRUE(Put("0123456789").ok()) << "the room of a file that was closed";
 }
 
 TEST_P(AssetStoreTest, AnUploadResumesAfterARestart) {
