@@ -1,7 +1,6 @@
 #include "worker/integrator/path_tracer.h"
 
 #include <array>
-#include <limits>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -53,6 +52,79 @@ absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<S
   return std::unique_ptr<PathTracer>(new PathTracer(std::move(impl)));
 }
 
+namespace {
+
+// Folds samples that arrive pixel by pixel, row by row, into a tile.
+class TileFolder {
+ public:
+  explicit TileFolder(TileStatistics* tile)
+      : tile_(*tile), x_(tile->window().x_begin), y_(tile->window().y_begin) {}
+
+  void Add(PixelSample* sample) {
+    if (num_added_ == 0) folder_.Begin(tile_.range());
+    if (ReplaceNonFinite(sample)) ++tile_.non_finite;
+    folder_.Add(*sample);
+    if (++num_added_ < tile_.range().size()) return;
+    folder_.Store(x_, y_, &tile_);
+    num_added_ = 0;
+    if (++x_ < tile_.window().x_end) return;
+    x_ = tile_.window().x_begin;
+    ++y_;
+  }
+
+ private:
+  TileStatistics& tile_;
+  int x_, y_;  // the pixel that is being folded
+  int64_t num_added_ = 0;
+  PixelFolder folder_;
+};
+
+// Paths that wait until they are enough to be walked at once. The samples of a pixel are a power of
+// two, as is kPathsMax: the queue holds some of one pixel's or all of several pixels'.
+class PathQueue {
+ public:
+  PathQueue(const PathWalker& walker, uint64_t seed, TileStatistics* tile)
+      : walker_(walker), seed_(seed), tile_(tile) {}
+
+  // Begins a pixel, whose samples follow.
+  void BeginPixel(int x, int y) {
+    x_ = x;
+    y_ = y;
+    pixel_ = num_paths_ == 0 ? 0 : pixel_ + 1;
+    for (int half = 0; half < kNumHalves; ++half) {
+      seeds_[pixel_][half].Begin(SobolSampler::SequenceKey(seed_, x, y, half));
+    }
+  }
+
+  void Add(int64_t sample) {
+    SequenceSeeds* seeds = &seeds_[pixel_][sample & 1];
+    requests_[num_paths_++] = {SobolSampler(seeds->key(), sample), seeds, x_, y_};
+    if (num_paths_ == PathWalker::kPathsMax) Flush();
+  }
+
+  void Flush() {
+    const auto count = static_cast<size_t>(num_paths_);
+    walker_.Trace({requests_.data(), count}, {samples_.data(), count}, &rays_);
+    for (int i = 0; i < num_paths_; ++i) tile_.Add(&samples_[i]);
+    num_paths_ = 0;
+  }
+
+  int64_t rays() const { return rays_; }
+
+ private:
+  const PathWalker& walker_;
+  const uint64_t seed_;
+  TileFolder tile_;
+  int x_ = 0, y_ = 0, pixel_ = 0;
+  int num_paths_ = 0;
+  int64_t rays_ = 0;
+  std::array<PathRequest, PathWalker::kPathsMax> requests_;
+  std::array<PixelSample, PathWalker::kPathsMax> samples_;
+  std::array<std::array<SequenceSeeds, kNumHalves>, PathWalker::kPathsMax> seeds_;
+};
+
+}  // namespace
+
 absl::StatusOr<TileStatistics> PathTracer::Render(const PixelRect& window, SampleRange node,
                                                   const std::atomic<bool>* cancel,
                                                   RenderCounters* counters) const {
@@ -61,30 +133,20 @@ absl::StatusOr<TileStatistics> PathTracer::Render(const PixelRect& window, Sampl
         absl::StrCat("samples [", node.begin, ", ", node.end, ") are no node of the folding tree"));
   }
   TileStatistics tile(window, node);
-  PixelFolder folder;
-  RenderCounters count;
+  PathQueue queue(*impl_->walker, impl_->settings.seed, &tile);
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
       if (cancel != nullptr && cancel->load(std::memory_order_relaxed)) {
         return absl::CancelledError("rendering was cancelled");
       }
-      std::array<uint64_t, kNumHalves> keys;
-      for (int half = 0; half < kNumHalves; ++half) {
-        keys[half] = SobolSampler::SequenceKey(impl_->settings.seed, x, y, half);
-      }
-      folder.Begin(node);
-      for (int64_t i = node.begin; i < node.end; ++i) {
-        const SobolSampler sampler(keys[i & 1], i);
-        PixelSample sample = impl_->walker->Trace(sampler, x, y, &count.rays);
-        if (ReplaceNonFinite(&sample)) ++tile.non_finite;
-        folder.Add(sample);
-      }
-      folder.Store(x, y, &tile);
+      queue.BeginPixel(x, y);
+      for (int64_t i = node.begin; i < node.end; ++i) queue.Add(i);
     }
   }
+  queue.Flush();
   if (counters != nullptr) {
     counters->samples += window.area() * node.size();
-    counters->rays += count.rays;
+    counters->rays += queue.rays();
     counters->non_finite += tile.non_finite;
   }
   return tile;

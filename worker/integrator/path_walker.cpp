@@ -1,9 +1,11 @@
 #include "worker/integrator/path_walker.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
+#include "core/base/check.h"
 #include "worker/integrator/onb.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/ray_offset.h"
@@ -21,7 +23,7 @@ enum : uint32_t {
   kChoice = 1,  // the light; the BSDF's lobe
   kScatter = 2,
   kRoulette = 3,
-  kGroupsPerBounce = 4,
+  kGroupsPerBounce = SequenceSeeds::kGroupsAtOnce,
 };
 
 // Bounces that Russian roulette leaves alone.
@@ -40,14 +42,20 @@ void Store(const V3f& v, float (&out)[3]) {
 }  // namespace
 
 struct PathWalker::PathState {
+  const PathRequest* request;
   Ray ray;  // unit direction
+  RayHit hit;
+  bool escaped;
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);
   int depth = 0;  // surfaces scattered at so far
   float pdf = 0;  // 1/sr, with which the ray's direction was drawn; depth > 0
   V3f normal;     // shading normal of the surface that the ray leaves; depth > 0
-  uint64_t hash_key = 0;
-  int64_t rays = 0;
+  uint64_t hash_key;
+  // What a light adds if nothing is in the way of the shadow ray.
+  bool has_shadow = false;
+  Ray shadow;
+  V3f direct;
 };
 
 float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) const {
@@ -69,8 +77,9 @@ void PathWalker::AddEscaped(PathState* path) const {
   path->radiance += path->throughput * parts_.environment->Radiance(path->ray.direction) * weight;
 }
 
-void PathWalker::AddEmission(const RayHit& hit, const Surface& surface, PathState* path) const {
+void PathWalker::AddEmission(const Surface& surface, PathState* path) const {
   if (MaxComponent(surface.emission) <= 0) return;
+  const RayHit& hit = path->hit;
   float weight = 1;
   if (path->depth > 0 && !surface.unlit) {
     const float light_pdf =
@@ -80,14 +89,12 @@ void PathWalker::AddEmission(const RayHit& hit, const Surface& surface, PathStat
   path->radiance += path->throughput * surface.emission * weight;
 }
 
-void PathWalker::AddDirectLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-                                const SobolSampler& sampler, PathState* path) const {
+void PathWalker::SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
+                             const SobolSampler::Points& numbers, PathState* path) const {
   if (parts_.lights.empty()) return;
-  const uint32_t group = kFirstBounceGroup + kGroupsPerBounce * path->depth;
   LightSample light;
-  if (!parts_.lights.Sample(surface.position, surface.shading_normal,
-                            sampler.Get2D(group + kChoice).x, sampler.Get2D(group + kLightPoint),
-                            &light)) {
+  if (!parts_.lights.Sample(surface.position, surface.shading_normal, numbers[kChoice].x,
+                            numbers[kLightPoint], &light)) {
     return;
   }
   // Above and below are the geometric surface's; the shading frame must agree (no light leaks).
@@ -102,24 +109,20 @@ void PathWalker::AddDirectLight(const Surface& surface, const Bsdf& bsdf, const 
   if (!(MaxComponent(contribution) > 0)) return;
   const V3f origin = OffsetRayOrigin(
       surface.position, above > 0 ? surface.geometric_normal : -surface.geometric_normal);
-  Ray shadow;
   if (light.at_infinity) {
-    shadow = {origin, light.wi, kInfinity};
+    path->shadow = {origin, light.wi, kInfinity};
   } else {
     const V3f target = OffsetRayOrigin(light.point, light.point_normal);
-    shadow = {origin, target - origin, 1};
+    path->shadow = {origin, target - origin, 1};
   }
-  ++path->rays;
-  path->radiance += contribution * parts_.embree.Transmittance(shadow);
+  path->direct = contribution;
+  path->has_shadow = true;
 }
 
 bool PathWalker::Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-                         const SobolSampler& sampler, PathState* path) const {
-  const uint32_t group = kFirstBounceGroup + kGroupsPerBounce * path->depth;
+                         const SobolSampler::Points& numbers, PathState* path) const {
   BsdfSample scattered;
-  if (!bsdf.Sample(sampler.Get2D(group + kChoice).y, sampler.Get2D(group + kScatter), &scattered)) {
-    return false;
-  }
+  if (!bsdf.Sample(numbers[kChoice].y, numbers[kScatter], &scattered)) return false;
   const V3f direction = Unit(frame.ToWorld(scattered.wi));
   const float above = direction.dot(surface.geometric_normal);
   if (above * scattered.wi.z <= 0) return false;
@@ -127,7 +130,7 @@ bool PathWalker::Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& fr
   const float most = MaxComponent(path->throughput);
   if (!(most > 0)) return false;
   if (path->depth >= kRouletteStart && most < 1) {
-    if (sampler.Get2D(group + kRoulette).x >= most) return false;
+    if (numbers[kRoulette].x >= most) return false;
     path->throughput *= 1 / most;
   }
   path->ray = {OffsetRayOrigin(surface.position,
@@ -139,55 +142,100 @@ bool PathWalker::Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& fr
   return true;
 }
 
-PixelSample PathWalker::Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const {
-  PixelSample sample;
-  PathState path;
-  path.hash_key = sampler.HashKey();
-  const V2f in_pixel = sampler.Get2D(kPixelGroup);
-  const V2f lens = parts_.camera.has_lens() ? sampler.Get2D(kLensGroup) : V2f(0.5f, 0.5f);
-  const CameraRay camera_ray = parts_.camera.At(static_cast<float>(x) + in_pixel.x,
-                                                static_cast<float>(y) + in_pixel.y, lens);
-  path.ray = {camera_ray.origin, camera_ray.direction, kInfinity};
-  const int max_depth = std::min(parts_.max_depth, kDepthLimit);
+void PathWalker::Start(const PathRequest& request, PathState* path) const {
+  path->request = &request;
+  path->hash_key = request.sampler.HashKey();
+  const SobolSampler::Points numbers = request.sampler.Get4x2D(kPixelGroup, request.seeds);
+  const V2f in_pixel = numbers[kPixelGroup];
+  const V2f lens = parts_.camera.has_lens() ? numbers[kLensGroup] : V2f(0.5f, 0.5f);
+  const CameraRay ray = parts_.camera.At(static_cast<float>(request.x) + in_pixel.x,
+                                         static_cast<float>(request.y) + in_pixel.y, lens);
+  path->ray = {ray.origin, ray.direction, kInfinity};
+}
 
-  for (;;) {
-    RayHit hit;
-    ++path.rays;
-    if (!parts_.embree.Intersect(path.ray, path.hash_key + static_cast<uint64_t>(path.depth),
-                                 &hit)) {
-      AddEscaped(&path);
-      break;
-    }
-    const V3f wo = -path.ray.direction;
-    const Surface surface = parts_.surfaces.Read(hit, wo);
-    if (surface.absorbs) {
-      for (int c = 0; c < 3; ++c) path.throughput[c] *= ExpNegative(-surface.absorption[c] * hit.t);
-    }
-    AddEmission(hit, surface, &path);
-    const Onb frame(surface.shading_normal);
-    const V3f local_wo = frame.ToLocal(wo);
-    const bool scatters = !surface.unlit && local_wo.z > 1e-6f;
-    if (path.depth == 0) {
-      sample.depth = hit.t;
-      sample.material_id = surface.material + 1;
-      Store(surface.shading_normal, sample.normal);
-    }
-    if (!scatters || path.depth > max_depth) {
-      if (path.depth == 0 && surface.unlit) Store(surface.bsdf.base_color, sample.albedo);
-      break;
-    }
-    const Bsdf bsdf(surface.bsdf, local_wo);
-    if (path.depth == 0) Store(bsdf.Albedo(), sample.albedo);
-    AddDirectLight(surface, bsdf, frame, sampler, &path);
-    // The last bounce's ray only looks for light that direct lighting competes for.
-    if (path.depth == max_depth && parts_.environment == nullptr &&
-        !parts_.lights.has_extended_lights()) {
-      break;
-    }
-    if (!Scatter(surface, bsdf, frame, sampler, &path)) break;
+// At the end of the path's ray: what arrives from there, and the next ray. False: the path ends.
+bool PathWalker::Shade(PathState* path, PixelSample* sample) const {
+  const RayHit& hit = path->hit;
+  const V3f wo = -path->ray.direction;
+  const Surface surface = parts_.surfaces.Read(hit, wo);
+  if (surface.absorbs) {
+    for (int c = 0; c < 3; ++c) path->throughput[c] *= ExpNegative(-surface.absorption[c] * hit.t);
   }
-  Store(path.radiance, sample.radiance);
-  *rays += path.rays;
+  AddEmission(surface, path);
+  const Onb frame(surface.shading_normal);
+  const V3f local_wo = frame.ToLocal(wo);
+  const bool scatters = !surface.unlit && local_wo.z > 1e-6f;
+  if (path->depth == 0) {
+    sample->depth = hit.t;
+    sample->material_id = surface.material + 1;
+    Store(surface.shading_normal, sample->normal);
+  }
+  const int max_depth = std::min(parts_.max_depth, kDepthLimit);
+  if (!scatters || path->depth > max_depth) {
+    if (path->depth == 0 && surface.unlit) Store(surface.bsdf.base_color, sample->albedo);
+    return false;
+  }
+  const Bsdf bsdf(surface.bsdf, local_wo);
+  if (path->depth == 0) Store(bsdf.Albedo(), sample->albedo);
+  const SobolSampler::Points numbers = path->request->sampler.Get4x2D(
+      kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path->depth),
+      path->request->seeds);
+  SampleLight(surface, bsdf, frame, numbers, path);
+  // The last bounce's ray only looks for light that direct lighting competes for.
+  if (path->depth == max_depth && parts_.environment == nullptr &&
+      !parts_.lights.has_extended_lights()) {
+    return false;
+  }
+  return Scatter(surface, bsdf, frame, numbers, path);
+}
+
+void PathWalker::Trace(std::span<const PathRequest> requests, std::span<PixelSample> samples,
+                       int64_t* rays) const {
+  TESSERA_CHECK(requests.size() <= kPathsMax && samples.size() == requests.size());
+  const int num_paths = static_cast<int>(requests.size());
+  std::array<PathState, kPathsMax> paths;
+  std::array<int, kPathsMax> walking;
+  for (int i = 0; i < num_paths; ++i) {
+    walking[i] = i;
+    samples[i] = PixelSample{};
+    Start(requests[i], &paths[i]);
+  }
+  for (int num_walking = num_paths; num_walking > 0;) {
+    *rays += num_walking;
+    for (int k = 0; k < num_walking; ++k) {
+      PathState& path = paths[walking[k]];
+      path.escaped = !parts_.embree.Intersect(
+          path.ray, path.hash_key + static_cast<uint64_t>(path.depth), &path.hit);
+    }
+    int num_next = 0;
+    const int num_met = num_walking;
+    std::array<int, kPathsMax> met = walking;
+    for (int k = 0; k < num_met; ++k) {
+      const int i = met[k];
+      if (paths[i].escaped) {
+        AddEscaped(&paths[i]);
+      } else if (Shade(&paths[i], &samples[i])) {
+        walking[num_next++] = i;
+      }
+    }
+    for (int k = 0; k < num_met; ++k) {
+      PathState& path = paths[met[k]];
+      if (!path.has_shadow) continue;
+      path.has_shadow = false;
+      ++*rays;
+      path.radiance += path.direct * parts_.embree.Transmittance(path.shadow);
+    }
+    num_walking = num_next;
+  }
+  for (int i = 0; i < num_paths; ++i) Store(paths[i].radiance, samples[i].radiance);
+}
+
+PixelSample PathWalker::Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const {
+  SequenceSeeds seeds;
+  seeds.Begin(sampler.sequence_key());
+  const PathRequest request{sampler, &seeds, x, y};
+  PixelSample sample;
+  Trace({&request, 1}, {&sample, 1}, rays);
   return sample;
 }
 

@@ -1,8 +1,9 @@
-// One camera path: unidirectional path tracing with next-event estimation, combined by multiple
+// Camera paths: unidirectional path tracing with next-event estimation, combined by multiple
 // importance sampling (Veach 1997, power heuristic), and Russian roulette by throughput.
 #pragma once
 
 #include <cstdint>
+#include <span>
 
 #include "core/film/pixel_sample.h"
 #include "worker/integrator/camera_rays.h"
@@ -17,8 +18,18 @@ namespace tessera {
 // Which of the two strategies may find a light. Both, weighted, unless a test compares them.
 enum class LightStrategy { kBoth, kBsdfOnly, kLightsOnly };
 
+// One sample to take: `sampler`'s, in pixel (x, y) of the frame. `seeds` are of its sequence; others
+// of the same sequence may share them.
+struct PathRequest {
+  SobolSampler sampler = SobolSampler(0, 0);
+  SequenceSeeds* seeds = nullptr;
+  int x = 0, y = 0;
+};
+
 class PathWalker {
  public:
+  static constexpr int kPathsMax = 16;  // at once; a power of two
+
   struct Parts {
     const SurfaceReader& surfaces;
     const EmbreeScene& embree;
@@ -30,18 +41,24 @@ class PathWalker {
   };
   explicit PathWalker(const Parts& parts) : parts_(parts) {}
 
-  // The sample that `sampler` stands for, in pixel (x, y) (box filter). Adds Embree queries to
-  // *rays. Threads: const, any number at once.
+  // The samples that `requests` ask for (box filter), at most kPathsMax, into `samples` in their
+  // order. Paths advance together, bounce by bounce, which hides the latency of memory; company
+  // moves no bit of a sample. Adds Embree queries to *rays. Threads: const, any number at once.
+  void Trace(std::span<const PathRequest> requests, std::span<PixelSample> samples,
+             int64_t* rays) const;
+  // One sample.
   PixelSample Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const;
 
  private:
   struct PathState;
+  void Start(const PathRequest& request, PathState* path) const;
+  bool Shade(PathState* path, PixelSample* sample) const;
   void AddEscaped(PathState* path) const;
-  void AddEmission(const RayHit& hit, const Surface& surface, PathState* path) const;
-  void AddDirectLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-                      const SobolSampler& sampler, PathState* path) const;
+  void AddEmission(const Surface& surface, PathState* path) const;
+  void SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
+                   const SobolSampler::Points& numbers, PathState* path) const;
   bool Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-               const SobolSampler& sampler, PathState* path) const;
+               const SobolSampler::Points& numbers, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;
 
   Parts parts_;

@@ -7,6 +7,7 @@
 
 #include <Imath/ImathVec.h>
 
+#include <array>
 #include <cstdint>
 
 namespace tessera {
@@ -50,6 +51,62 @@ inline uint32_t SobolDimension1Reversed(uint32_t index) {
   return index ^ (index >> 16);
 }
 
+// How one dimension group of a sequence is shuffled and scrambled.
+struct GroupSeeds {
+  uint32_t index;
+  std::array<uint32_t, 2> value;
+
+  GroupSeeds(uint64_t sequence_key, uint32_t group) {
+    const uint64_t h = MixBits(sequence_key + (uint64_t{group} + 1) * 0x9e3779b97f4a7c15ull);
+    index = static_cast<uint32_t>(MixBits(h ^ 0xd1b54a32d192ed03ull));
+    value = {static_cast<uint32_t>(h), static_cast<uint32_t>(h >> 32)};
+  }
+};
+
+// The seeds of one sequence (a half of a pixel), kept while its samples are drawn; made as they are
+// first asked for. A lane is one number of a group.
+class SequenceSeeds {
+ public:
+  static constexpr int kGroupsAtOnce = 4;
+  static constexpr int kLanes = 2 * kGroupsAtOnce;
+
+  void Begin(uint64_t sequence_key) {
+    key_ = sequence_key;
+    known_ = 0;
+  }
+  uint64_t key() const { return key_; }
+
+  // Where the seeds of kGroupsAtOnce groups from `first_group` on start, in index() and value();
+  // valid until the next call.
+  size_t LanesOf(uint32_t first_group) {
+    const uint32_t end = first_group + kGroupsAtOnce;
+    if (end > kKept) {
+      for (uint32_t i = 0; i < kGroupsAtOnce; ++i) Make(first_group + i, kKept + i);
+      return 2 * kKept;
+    }
+    for (; known_ < end; ++known_) Make(known_, known_);
+    return size_t{2} * first_group;
+  }
+  const uint32_t* index(size_t lane) const { return &index_[lane]; }
+  const uint32_t* value(size_t lane) const { return &value_[lane]; }
+
+ private:
+  static constexpr uint32_t kKept = 42;  // nine bounces' groups and the camera's
+
+  void Make(uint32_t group, uint32_t place) {
+    const GroupSeeds seeds(key_, group);
+    for (uint32_t i = 0; i < 2; ++i) {
+      index_[2 * place + i] = seeds.index;
+      value_[2 * place + i] = seeds.value[i];
+    }
+  }
+
+  uint64_t key_ = 0;
+  uint32_t known_ = 0;
+  std::array<uint32_t, 2 * (kKept + kGroupsAtOnce)> index_;
+  std::array<uint32_t, 2 * (kKept + kGroupsAtOnce)> value_;
+};
+
 class SobolSampler {
  public:
   // Sample `sample_index` of pixel (x, y): point sample_index >> 1 of half sample_index & 1 (C1).
@@ -66,16 +123,44 @@ class SobolSampler {
                    static_cast<uint64_t>(half) + 1);
   }
 
+  uint64_t sequence_key() const { return key_; }
+
   // Two numbers in [0, 1) of dimension group `group`.
   Imath::V2f Get2D(uint32_t group) const {
-    const uint64_t h = MixBits(key_ + (uint64_t{group} + 1) * 0x9e3779b97f4a7c15ull);
-    const uint64_t g = MixBits(h ^ 0xd1b54a32d192ed03ull);
-    const uint32_t index = ReverseBits(ScrambleReversed(index_reversed_, static_cast<uint32_t>(g)));
+    const GroupSeeds seeds(key_, group);
+    const uint32_t index = ReverseBits(ScrambleReversed(index_reversed_, seeds.index));
     // Dimension 0 is the bit-reversed index, so its reversal is the index itself.
-    const uint32_t u = ScrambleReversed(index, static_cast<uint32_t>(h));
-    const uint32_t v =
-        ScrambleReversed(SobolDimension1Reversed(index), static_cast<uint32_t>(h >> 32));
+    const uint32_t u = ScrambleReversed(index, seeds.value[0]);
+    const uint32_t v = ScrambleReversed(SobolDimension1Reversed(index), seeds.value[1]);
     return {UnitFloat(ReverseBits(u)), UnitFloat(ReverseBits(v))};
+  }
+
+  using Points = std::array<Imath::V2f, SequenceSeeds::kGroupsAtOnce>;
+  // Get2D of the groups from `first_group` on, at once; `seeds` are those of this sequence. All
+  // lanes do the same: the compiler makes vector code of the loops.
+  Points Get4x2D(uint32_t first_group, SequenceSeeds* seeds) const {
+    constexpr int kLanes = SequenceSeeds::kLanes;
+    const size_t lane = seeds->LanesOf(first_group);
+    const uint32_t* index_seeds = seeds->index(lane);
+    const uint32_t* value_seeds = seeds->value(lane);
+    alignas(32) uint32_t bits[kLanes];
+    alignas(32) float numbers[kLanes];
+    alignas(32) static constexpr uint32_t kSecond[kLanes] = {0, ~0u, 0, ~0u, 0, ~0u, 0, ~0u};
+    for (int i = 0; i < kLanes; ++i) {
+      const uint32_t index = ReverseBits(ScrambleReversed(index_reversed_, index_seeds[i]));
+      const uint32_t other = SobolDimension1Reversed(index) & kSecond[i];
+      bits[i] =
+          ReverseBits(ScrambleReversed((index & ~kSecond[i]) | other, value_seeds[i])) >> 8;
+    }
+    // Signed, as the conversion that AVX2 has; 24 bits fit.
+    for (int i = 0; i < kLanes; ++i) {
+      numbers[i] = static_cast<float>(static_cast<int32_t>(bits[i])) * 0x1p-24f;
+    }
+    Points points;
+    for (int g = 0; g < SequenceSeeds::kGroupsAtOnce; ++g) {
+      points[g] = {numbers[2 * g], numbers[2 * g + 1]};
+    }
+    return points;
   }
 
   // A key of this sample for decisions by hash (which have no low-discrepancy dimension).

@@ -107,6 +107,22 @@ TEST(SobolSamplerTest, IntegratesASmoothFunctionFarBetterThanRandom) {
   EXPECT_LT(squares / kPixels, random / 20);
 }
 
+TEST(SobolSamplerTest, GroupsAtOnceAreTheGroupsOneByOne) {
+  const uint64_t key = SobolSampler::SequenceKey(9, 3, 4, 1);
+  SequenceSeeds seeds;
+  seeds.Begin(key);
+  // Up and down, within what the seeds keep and beyond.
+  for (uint32_t first : {0u, 2u, 6u, 3u, 34u, 38u, 39u, 41u, 4000u, 10u}) {
+    for (int64_t i = 1; i < 64; i += 2) {
+      const SobolSampler sampler(key, i);
+      const SobolSampler::Points points = sampler.Get4x2D(first, &seeds);
+      for (uint32_t g = 0; g < points.size(); ++g) {
+        ASSERT_EQ(points[g], sampler.Get2D(first + g)) << first << " " << g << " " << i;
+      }
+    }
+  }
+}
+
 TEST(SobolSamplerTest, ASampleIsAPureFunctionOfItsPlace) {
   const uint64_t key = SobolSampler::SequenceKey(9, 3, 4, 1);
   EXPECT_EQ(SobolSampler(9, 3, 4, 7).Get2D(5), SobolSampler(key, 7).Get2D(5));
