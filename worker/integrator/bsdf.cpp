@@ -10,16 +10,20 @@ using Imath::V3f;
 
 namespace {
 
-// A refracting boundary of index 1 would be a delta whatever its roughness; keep it a lobe.
 constexpr float kRefractingIorMin = 1.005f;
+
+// The base is dimmed by rather more than the coat reflects, so that the table's error adds nothing.
+constexpr float kCoatMargin = 1.005f;
 
 float RelativeIndex(const BsdfParameters& p) {
   if (p.thin_walled) return p.ior;
-  const float ior = std::max(p.ior, kRefractingIorMin);
+  const float ior = RefractingIor(p.ior);
   return p.entering ? ior : 1 / ior;
 }
 
 }  // namespace
+
+float RefractingIor(float ior) { return std::max(ior, kRefractingIorMin); }
 
 Bsdf::Bsdf(const BsdfParameters& p, const V3f& wo)
     : wo_(wo),
@@ -28,25 +32,58 @@ Bsdf::Bsdf(const BsdfParameters& p, const V3f& wo)
       lambda_o_(GgxLambda(wo, alpha_)),
       eta_(RelativeIndex(p)),
       thin_walled_(p.thin_walled),
-      base_color_(p.base_color) {
+      base_color_(p.base_color),
+      glass_weight_((1 - p.metallic) * p.transmission) {
+  SetSpecular(p);
+  ChooseLobes();
+}
+
+void Bsdf::SetSpecular(const BsdfParameters& p) {
   const float dielectric = (1 - p.metallic) * (1 - p.transmission);
-  glass_weight_ = (1 - p.metallic) * p.transmission;
-  coat_f0_ = Sqr((p.ior - 1) / (p.ior + 1));
+  const float interface_f0 = Sqr((p.ior - 1) / (p.ior + 1));
   // No interface, no grazing reflection: F90 fades with F0 below 2 %.
-  coat_f90_ = Clamp01(50 * coat_f0_);
-  f0_ = V3f(dielectric * coat_f0_) + p.base_color * p.metallic;
-  f90_ = dielectric * coat_f90_ + p.metallic;
+  coat_f90_ = Clamp01(50 * interface_f0) * p.specular;
+  coat_f0_ = std::min(interface_f0 * MaxComponent(p.specular_color), 1.f) * p.specular;
 
   const SpecularAlbedoTable& table = SpecularAlbedoTable::Get();
-  const SpecularAlbedo towards_wo = table.Lookup(wo.z, roughness_);
-  specular_albedo_ = f0_ * towards_wo.scale + V3f(f90_ * towards_wo.bias);
-  // Kelemen & Szirmay-Kalos 2001: what the coat reflects from either side does not reach the base.
-  const SpecularAlbedo average = table.Average(roughness_);
-  diffuse_share_ = 1 - (coat_f0_ * towards_wo.scale + coat_f90_ * towards_wo.bias);
-  share_average_ = std::max(1 - (coat_f0_ * average.scale + coat_f90_ * average.bias), 1e-6f);
-  diffuse_ = p.base_color * (dielectric / share_average_);
+  const SpecularAlbedo towards_wo = table.Lookup(wo_.z, roughness_);
+  const float multiple = towards_wo.MultipleScattering();
+  for (int c = 0; c < 3; ++c) {
+    const float f0 = std::min(interface_f0 * p.specular_color[c], 1.f) * p.specular;
+    const float coat = dielectric * (1 + f0 * multiple);
+    const float metal = p.metallic * (1 + p.base_color[c] * multiple);
+    f0_[c] = coat * f0 + metal * p.base_color[c];
+    f90_[c] = coat * coat_f90_ + metal;
+  }
+  specular_albedo_ = f0_ * towards_wo.scale + f90_ * towards_wo.bias;
 
-  const float diffuse = MaxComponent(p.base_color) * dielectric * diffuse_share_;
+  // Kelemen & Szirmay-Kalos 2001: what the coat reflects from either side does not reach the base.
+  // One channel's coat dims all, so that the base does not take the complementary colour.
+  diffuse_share_ = 1 - CoatAlbedo(towards_wo);
+  const SpecularAverage average = table.Average(roughness_);
+  const float average_albedo =
+      kCoatMargin * (coat_f0_ * (average.single.scale + coat_f0_ * average.multiple.scale) +
+                     coat_f90_ * (average.single.bias + coat_f0_ * average.multiple.bias));
+  share_average_ = std::max(1 - average_albedo, 1e-6f);
+  diffuse_ = p.base_color * (dielectric / share_average_);
+  if (glass_weight_ > 0) SetGlass(p, towards_wo);
+}
+
+void Bsdf::SetGlass(const BsdfParameters& p, const SpecularAlbedo& towards_wo) {
+  glass_fresnel_ = p.specular;
+  for (int c = 0; c < 3; ++c) glass_tint_[c] = std::min(p.specular_color[c], 1.f);
+  if (thin_walled_) {
+    // Reflected and transmitted lobes are mirror images: masking loses the same share of both.
+    glass_scale_ = 1 + towards_wo.MultipleScattering();
+  } else if (p.glass_albedo != nullptr) {
+    const GlassAlbedo albedo = p.glass_albedo->Lookup(wo_.z, roughness_, p.entering);
+    glass_scale_ =
+        CompensationOf(albedo.matched + (albedo.dielectric - albedo.matched) * glass_fresnel_);
+  }
+}
+
+void Bsdf::ChooseLobes() {
+  const float diffuse = MaxComponent(diffuse_) * diffuse_share_ * share_average_;
   const float specular = MaxComponent(specular_albedo_);
   const float total = diffuse + specular + glass_weight_;
   if (total > 0) {
@@ -56,14 +93,15 @@ Bsdf::Bsdf(const BsdfParameters& p, const V3f& wo)
   }
 }
 
-float Bsdf::CoatAlbedo(float mu) const {
-  if (coat_f90_ == 0) return 0;
-  const SpecularAlbedo a = SpecularAlbedoTable::Get().Lookup(mu, roughness_);
-  return coat_f0_ * a.scale + coat_f90_ * a.bias;
+float Bsdf::CoatAlbedo(const SpecularAlbedo& towards) const {
+  return std::min(1.f, kCoatMargin * (coat_f0_ * towards.scale + coat_f90_ * towards.bias) *
+                           (1 + coat_f0_ * towards.MultipleScattering()));
 }
 
 float Bsdf::GlassFresnel(float cosine, float* cos_t) const {
-  return FresnelDielectric(cosine, eta_, cos_t);
+  const float reflectance = FresnelDielectric(cosine, eta_, cos_t);
+  // Total reflection stays total.
+  return *cos_t > 0 ? reflectance * glass_fresnel_ : reflectance;
 }
 
 BsdfValue Bsdf::Evaluate(const V3f& wi) const {
@@ -78,7 +116,9 @@ BsdfValue Bsdf::EvaluateReflection(const V3f& wi) const {
   BsdfValue value;
   if (p_diffuse_ > 0) {
     const float cosine = wi.z * kInvPiFloat;
-    value.f_cos = diffuse_ * (diffuse_share_ * (1 - CoatAlbedo(wi.z)) * cosine);
+    const float coat =
+        coat_f90_ > 0 ? CoatAlbedo(SpecularAlbedoTable::Get().Lookup(wi.z, roughness_)) : 0.f;
+    value.f_cos = diffuse_ * (diffuse_share_ * (1 - coat) * cosine);
     value.pdf = p_diffuse_ * cosine;
   }
   if (p_specular_ + p_glass_ > 0) {
@@ -87,12 +127,12 @@ BsdfValue Bsdf::EvaluateReflection(const V3f& wi) const {
     const float density = GgxD(h, alpha_) / (4 * wo_.z);
     const float g2 = 1 / (1 + lambda_o_ + GgxLambda(wi, alpha_));
     const float schlick = SchlickWeight(o_h);
-    V3f fresnel = f0_ * (1 - schlick) + V3f(f90_ * schlick);
+    V3f fresnel = f0_ * (1 - schlick) + f90_ * schlick;
     float p_reflect = p_specular_;
     if (p_glass_ > 0) {
       float cos_t;
       const float glass = GlassFresnel(o_h, &cos_t);
-      fresnel += V3f(glass_weight_ * glass);
+      fresnel += glass_tint_ * (glass_weight_ * glass_scale_ * glass);
       p_reflect += p_glass_ * glass;
     }
     value.f_cos += fresnel * (density * g2);
@@ -109,7 +149,7 @@ BsdfValue Bsdf::EvaluateThinTransmission(const V3f& wi) const {
   const float transmitted = 1 - GlassFresnel(Clamp01(wo_.dot(h)), &cos_t);
   const float density = GgxD(h, alpha_) / (4 * wo_.z);
   const float g2 = 1 / (1 + lambda_o_ + GgxLambda(mirrored, alpha_));
-  return {base_color_ * (glass_weight_ * transmitted * density * g2),
+  return {base_color_ * (glass_weight_ * glass_scale_ * transmitted * density * g2),
           p_glass_ * transmitted * density / (1 + lambda_o_)};
 }
 
@@ -127,7 +167,7 @@ BsdfValue Bsdf::EvaluateRefraction(const V3f& wi) const {
   const float jacobian = eta_ * eta_ * -i_h / Sqr(o_h + eta_ * i_h);
   const float density = GgxD(h, alpha_) * o_h / wo_.z * jacobian;
   const float g2 = 1 / (1 + lambda_o_ + GgxLambda(wi, alpha_));
-  return {base_color_ * (glass_weight_ * transmitted * density * g2),
+  return {base_color_ * (glass_weight_ * glass_scale_ * transmitted * density * g2),
           p_glass_ * transmitted * density / (1 + lambda_o_)};
 }
 
@@ -175,7 +215,7 @@ V3f Bsdf::Albedo() const {
   if (glass_weight_ > 0) {
     float cos_t;
     const float reflected = GlassFresnel(wo_.z, &cos_t);
-    albedo += (V3f(reflected) + base_color_ * (1 - reflected)) * glass_weight_;
+    albedo += (glass_tint_ * reflected + base_color_ * (1 - reflected)) * glass_weight_;
   }
   return {Clamp01(albedo.x), Clamp01(albedo.y), Clamp01(albedo.z)};
 }

@@ -1,12 +1,19 @@
 // The glTF metallic-roughness surface in its local frame (z = shading normal on the side of wo):
 // Lambert under a dielectric GGX coat, metal, and glass (thin-walled, or a rough refracting
-// boundary). Single scattering; never gains energy. Directions are unit and point away from the
-// surface. Radiance is transported as L / n^2, which refraction leaves unscaled.
+// boundary). Directions are unit and point away from the surface. Radiance is transported as
+// L / n^2, which refraction leaves unscaled.
+//
+// Energy: single-scattering lobes are scaled to what lossless multiple scattering would give
+// (Turquin 2019, eq. 16), the scale depending on wo; white metal and glass return everything, no
+// surface gains. Reciprocal but for that scale; the diffuse base is reciprocal.
 #pragma once
 
 #include <Imath/ImathVec.h>
 
 namespace tessera {
+
+class GlassAlbedoTable;
+struct SpecularAlbedo;
 
 struct BsdfParameters {
   Imath::V3f base_color = Imath::V3f(1, 1, 1);
@@ -14,9 +21,17 @@ struct BsdfParameters {
   float roughness = 1;
   float transmission = 0;
   float ior = 1.5f;  // 1 = no interface: no reflection at all
+  // Of dielectric reflection: its weight, and the colour of its F0 (KHR_materials_specular).
+  float specular = 1;
+  Imath::V3f specular_color = Imath::V3f(1, 1, 1);
   bool thin_walled = true;
   bool entering = true;  // wo is outside (matters for glass that is not thin-walled)
+  // Of RefractingIor(ior), for glass that is not thin-walled; null: multiple scattering is lost.
+  const GlassAlbedoTable* glass_albedo = nullptr;
 };
+
+// The index that a boundary refracts by: one of exactly 1 would be no lobe, whatever its roughness.
+float RefractingIor(float ior);
 
 struct BsdfValue {
   Imath::V3f f_cos = Imath::V3f(0, 0, 0);  // bsdf times |cos(wi, normal)|, 1/sr
@@ -48,8 +63,11 @@ class Bsdf {
   BsdfValue EvaluateThinTransmission(const Imath::V3f& wi) const;
   BsdfValue EvaluateRefraction(const Imath::V3f& wi) const;
   bool SampleGlass(float u_lobe, const Imath::V2f& u, Imath::V3f* wi) const;
+  void SetSpecular(const BsdfParameters& parameters);
+  void SetGlass(const BsdfParameters& parameters, const SpecularAlbedo& towards_wo);
+  void ChooseLobes();
   float GlassFresnel(float cosine, float* cos_t) const;
-  float CoatAlbedo(float mu) const;
+  float CoatAlbedo(const SpecularAlbedo& towards) const;
 
   Imath::V3f wo_;
   float alpha_;
@@ -58,13 +76,15 @@ class Bsdf {
   float eta_;       // index beyond the boundary over that on wo's side
   bool thin_walled_;
   Imath::V3f base_color_;
-  Imath::V3f diffuse_;   // diffuse reflectance below the coat, over (1 - average coat albedo)
-  float diffuse_share_;  // 1 - coat albedo towards wo
-  float share_average_;  // its cosine-weighted average over wo
-  float coat_f0_, coat_f90_;
-  Imath::V3f f0_;  // of all specular reflection but glass's, lobe weights included
-  float f90_;
+  Imath::V3f diffuse_;        // diffuse reflectance below the coat, over (1 - average coat albedo)
+  float diffuse_share_;       // 1 - coat albedo towards wo
+  float share_average_;       // its cosine-weighted average over wo
+  float coat_f0_, coat_f90_;  // of the coat's brightest channel: dims the base
+  Imath::V3f f0_, f90_;       // of all specular reflection but glass's, weights and scale included
   float glass_weight_;
+  float glass_scale_ = 1;    // restores multiple scattering
+  float glass_fresnel_ = 1;  // weight of glass's reflectance
+  Imath::V3f glass_tint_;    // of glass's reflection
   Imath::V3f specular_albedo_;
   float p_diffuse_ = 0, p_specular_ = 0, p_glass_ = 0;  // choice of the lobe
 };

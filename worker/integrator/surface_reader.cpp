@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/texture_lookup.h"
@@ -61,7 +62,21 @@ V3f AboveSurface(const V3f& ns, const V3f& ng, const V3f& wo) {
 
 SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometry> geometries)
     : scene_(scene), geometries_(geometries) {
-  for (const Material& material : scene.materials) absorption_.push_back(AbsorptionOf(material));
+  std::map<float, const GlassAlbedoTable*> tables;  // by index of refraction
+  for (const Material& material : scene.materials) {
+    absorption_.push_back(AbsorptionOf(material));
+    const GlassAlbedoTable* table = nullptr;
+    if (material.transmission > 0 && material.thickness > 0) {
+      const float ior = RefractingIor(material.ior);
+      const auto [entry, is_new] = tables.try_emplace(ior, nullptr);
+      if (is_new) {
+        glass_tables_.push_back(std::make_unique<GlassAlbedoTable>(ior));
+        entry->second = glass_tables_.back().get();
+      }
+      table = entry->second;
+    }
+    glass_albedo_.push_back(table);
+  }
   for (const Texture& texture : scene.textures) {
     bool has_alpha = false;
     for (size_t i = 3; i < texture.rgba.size(); i += 4) has_alpha |= texture.rgba[i] != 255;
@@ -228,6 +243,7 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   p.ior = material.ior;
   p.thin_walled = !(material.thickness > 0);
   p.entering = s.front_face;
+  p.glass_albedo = glass_albedo_[mesh.material];
   s.absorption = absorption_[mesh.material];
   s.absorbs = !s.front_face && MaxComponent(s.absorption) > 0;
   return s;

@@ -5,11 +5,13 @@
 #include <Imath/ImathVec.h>
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
 #include "worker/integrator/bsdf.h"
 #include "worker/integrator/instance_geometry.h"
+#include "worker/integrator/specular_albedo.h"
 #include "worker/scene/scene.h"
 
 namespace tessera {
@@ -66,8 +68,10 @@ class SurfaceReader {
 
   const Scene& scene_;
   std::span<const InstanceGeometry> geometries_;
-  std::vector<V3f> absorption_;             // by material, 1/m
-  std::vector<uint8_t> texture_has_alpha_;  // by texture
+  std::vector<V3f> absorption_;  // by material, 1/m
+  std::vector<std::unique_ptr<const GlassAlbedoTable>> glass_tables_;
+  std::vector<const GlassAlbedoTable*> glass_albedo_;  // by material; null: no refracting glass
+  std::vector<uint8_t> texture_has_alpha_;             // by texture
 };
 
 }  // namespace tessera
