@@ -14,9 +14,10 @@ namespace tessera {
 // How far from a pixel the planes are read: 4 for D, and the 3x3 around each for the spread.
 inline constexpr int kCalibrationRadiusPx = 5;
 
-// Fills planes->variance over `window` from color, color_half, sample_variance_of_mean, coverage and
-// samples within kCalibrationRadiusPx of it (cut at the bounds). Pixels with an empty half are skipped, and get
-// +inf themselves. A pixel's result depends on its neighbourhood alone, not on `window`.
+// Fills planes->variance over `window` from color, color_half, sample_variance_of_mean, coverage
+// and samples within kCalibrationRadiusPx of it (cut at the bounds). Pixels with an empty half are
+// skipped, and get +inf themselves. A pixel's result depends on its neighbourhood alone, not on
+// `window`.
 // Threads: any number at once on disjoint windows.
 void CalibrateVariance(const PixelRect& window, FramePlanes* planes);
 
