@@ -1,10 +1,13 @@
 // Radiance from infinity and directions chosen by it. A map is interpolated bilinearly; directions
 // are drawn from a piecewise-constant density over its texels that is positive wherever the
-// interpolated luminance is. A uniform sky is drawn by the cosine to the receiver's normal.
+// interpolated luminance is. Before that one of 128 cells of the sphere is chosen, by its light
+// times what the receiver's cosine and a guide to visibility leave of it. A uniform sky has cells
+// of equal area; where all of it is seen it is drawn by the cosine.
 #pragma once
 
 #include <Imath/ImathVec.h>
 
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -13,9 +16,32 @@
 
 namespace tessera {
 
+inline constexpr int kSkyRows = 8;
+inline constexpr int kSkyColumns = 16;
+inline constexpr int kSkyCells = kSkyRows * kSkyColumns;
+
+// By cell of the sky, row-major from the top: the share of its light that arrives, 0 ... 255.
+using SkyVisibility = std::array<uint8_t, kSkyCells>;
+
 struct DirectionSample {
   V3f direction;  // unit, towards the environment
   float pdf;      // 1/sr
+  V3f radiance;   // from there
+};
+
+// How a receiver looks at the environment.
+struct SkyView {
+  V3f normal;                                 // unit
+  const SkyVisibility* visibility = nullptr;  // null: all is seen
+  bool transmits = false;                     // light from behind counts like light from before
+  bool by_cosine = false;  // all of a uniform sky is seen: the cells are not in use
+  float total = 0;         // of the weights: estimated irradiance, W/m^2 of luminance
+};
+
+// What it expects of each cell: the density of its choice, times `total`.
+struct SkyWeights {
+  alignas(32) std::array<float, kSkyCells> cells;
+  alignas(32) std::array<float, kSkyColumns> columns;  // sums
 };
 
 class EnvironmentSampler {
@@ -31,33 +57,49 @@ class EnvironmentSampler {
   // Of the tables, the map itself not counted.
   int64_t memory_bytes() const;
 
-  // `normal`: of the receiver, unit; used by the uniform sky only.
-  DirectionSample Sample(const V3f& normal, const V2f& u) const;
-  // 1/sr, of Sample.
-  float Pdf(const V3f& normal, const V3f& direction) const;
+  // What a receiver sees; `weights` are left alone if the view is by_cosine. Borrows `visibility`.
+  void Look(const V3f& normal, bool transmits, const SkyVisibility* visibility, SkyView* view,
+            SkyWeights* weights) const;
+  // pdf 0: nothing to choose.
+  DirectionSample Sample(const SkyView& view, const SkyWeights& weights, const V2f& u) const;
+  // Radiance from `direction`, and the density with which Sample chooses it, 1/sr.
+  V3f RadianceAndPdf(const SkyView& view, const V3f& direction, float* pdf) const;
+  // A direction inside a cell by its light alone; pdf: 1/sr, given the cell, 0 for a black cell.
+  DirectionSample SampleCell(int cell, const V2f& u) const;
 
  private:
+  template <bool kTransmits>
+  float WeighCells(const V3f& normal, const SkyVisibility& seen, SkyWeights* weights) const;
+  float CellWeight(const SkyView& view, int cell) const;
+  void MakeUniformCells();
+  void MakeMapCells(const std::vector<float>& weights);
   // Position in the map: u to the right and v down, both [0, 1].
-  V2f UvOfDirection(const V3f& direction) const;
+  V2f UvOfDirection(const V3f& d) const;
+  V3f DirectionOf(float cosine, float turns) const;
+  V3f RadianceAt(const V2f& uv) const;
+  float PdfAt(const SkyView& view, const V3f& direction, const V2f& uv) const;
   const V3f& Texel(int x, int y) const {
     return light_.texels[static_cast<size_t>(y) * light_.width + x];
   }
-  std::span<const float> ColumnSums(int row) const {
-    return {&column_sums_[static_cast<size_t>(row) * (light_.width + 1)],
-            static_cast<size_t>(light_.width) + 1};
-  }
-
-  static constexpr int kGuides = 64;
+  // The light's running sums over the texels of a row that are a cell's, and over a cell's rows.
+  std::span<const float> ColumnSums(int row, int cell_column) const;
+  std::span<const float> RowSums(int cell) const;
+  float TexelDensity(int cell, int x, int y) const;
 
   const EnvironmentLight& light_;
   bool uniform_;
   float rotate_sin_ = 0, rotate_cos_ = 1;
   double irradiance_ = 0;
-  std::vector<float> row_sums_;     // height + 1 running sums of the rows
-  std::vector<float> column_sums_;  // height x (width + 1), of the texels of a row
-  std::vector<uint32_t> row_guide_;
-  std::vector<uint32_t> column_guides_;  // height x (kGuides + 1)
-  std::vector<float> row_cosines_;       // height + 1: y of the rows' edges, 1 at the top
+  // By cell. Light: W/m^2 of luminance. The mean direction of its light, by coordinate for SIMD.
+  alignas(32) std::array<float, kSkyCells> cell_light_ = {};
+  alignas(32) std::array<float, kSkyCells> cell_x_ = {}, cell_y_ = {}, cell_z_ = {};
+  // Of a map. Edges of the cells in texels, and back.
+  std::array<int, kSkyRows + 1> row_edges_ = {};
+  std::array<int, kSkyColumns + 1> column_edges_ = {};
+  std::vector<uint8_t> row_of_texel_, column_of_texel_;
+  std::vector<float> row_sums_;     // by column of cells: height + kSkyRows values
+  std::vector<float> column_sums_;  // by row of texels: width + kSkyColumns values
+  std::vector<float> row_cosines_;  // height + 1: y of the rows' edges, 1 at the top
 };
 
 }  // namespace tessera

@@ -117,7 +117,18 @@ double LightSampler::TrianglePower(uint32_t instance, uint32_t triangle, float p
   return 2 * kPiDouble * area * (sum / (kSteps * (kSteps + 1) / 2) + 0.01 * peak);
 }
 
-bool LightSampler::Sample(const V3f& receiver, const V3f& receiver_normal, float u_choice,
+void LightSampler::Look(const Surface& receiver, bool transmits, LightView* view,
+                        LightWeights* weights) const {
+  view->position = receiver.position;
+  if (entries_.empty() || entries_[0].kind != Kind::kEnvironment) return;
+  const SkyVisibility* visibility = nullptr;
+  if (guide_of_sky_ != nullptr) {
+    visibility = guide_of_sky_->Sky(receiver.position, receiver.geometric_normal);
+  }
+  environment_->Look(receiver.shading_normal, transmits, visibility, &view->sky, weights);
+}
+
+bool LightSampler::Sample(const LightView& view, const LightWeights& weights, float u_choice,
                           const V2f& u, LightSample* sample) const {
   const int chosen = SampleGuided(running_sums_, guide_, &u_choice);
   const Entry& entry = entries_[chosen];
@@ -125,9 +136,9 @@ bool LightSampler::Sample(const V3f& receiver, const V3f& receiver_normal, float
   bool lit = false;
   switch (entry.kind) {
     case Kind::kEnvironment: {
-      const DirectionSample d = environment_->Sample(receiver_normal, u);
+      const DirectionSample d = environment_->Sample(view.sky, weights, u);
       sample->wi = d.direction;
-      sample->radiance = environment_->Radiance(d.direction);
+      sample->radiance = d.radiance;
       sample->pdf = d.pdf;
       sample->punctual = false;
       sample->at_infinity = true;
@@ -135,10 +146,10 @@ bool LightSampler::Sample(const V3f& receiver, const V3f& receiver_normal, float
       break;
     }
     case Kind::kPunctual:
-      lit = SamplePunctual(scene_.lights[entry.index], receiver, sample);
+      lit = SamplePunctual(scene_.lights[entry.index], view.position, sample);
       break;
     case Kind::kTriangle:
-      lit = SampleTriangle(entry, receiver, u, sample);
+      lit = SampleTriangle(entry, view.position, u, sample);
       break;
   }
   sample->pdf *= probability;
@@ -203,9 +214,12 @@ float LightSampler::TrianglePdf(uint32_t instance, uint32_t triangle, const V3f&
   return ChoiceProbability(first_triangle_[instance] + triangle) * distance * distance / projected;
 }
 
-float LightSampler::EnvironmentPdf(const V3f& receiver_normal, const V3f& wi) const {
-  if (entries_.empty() || entries_[0].kind != Kind::kEnvironment) return 0;
-  return ChoiceProbability(0) * environment_->Pdf(receiver_normal, wi);
+V3f LightSampler::Escaped(const LightView& view, const V3f& wi, float* pdf) const {
+  *pdf = 0;
+  if (entries_.empty() || entries_[0].kind != Kind::kEnvironment) return V3f(0, 0, 0);
+  const V3f radiance = environment_->RadianceAndPdf(view.sky, wi, pdf);
+  *pdf *= ChoiceProbability(0);
+  return radiance;
 }
 
 }  // namespace tessera

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "worker/integrator/environment_sampler.h"
+#include "worker/integrator/light_guide.h"
 #include "worker/integrator/surface_reader.h"
 #include "worker/scene/scene.h"
 
@@ -25,24 +26,38 @@ struct LightSample {
   V3f point_normal;  // of a triangle, unit, on the receiver's side; zero for a punctual light
 };
 
+// What a receiver expects of the lights: made once, then asked by both strategies. The weights
+// serve Sample alone.
+struct LightView {
+  V3f position;
+  SkyView sky;
+};
+using LightWeights = SkyWeights;
+
 class LightSampler {
  public:
   // `environment` may be null; `scene_radius` bounds the geometry, metres. Borrows all.
   LightSampler(const Scene& scene, const SurfaceReader& surfaces,
                const EnvironmentSampler* environment, float scene_radius);
 
+  // Of the sky's visibility; null without. Borrowed.
+  void SetGuide(const LightGuide* guide) { guide_of_sky_ = guide; }
+
   bool empty() const { return entries_.empty(); }
   // Whether any light has an extent, so that a BSDF sample can meet it.
   bool has_extended_lights() const { return extended_; }
   int64_t memory_bytes() const;
 
+  // The view from a surface; `transmits`: light from behind it counts too.
+  void Look(const Surface& receiver, bool transmits, LightView* view, LightWeights* weights) const;
   // False if the choice lights nothing here. u_choice and u in [0, 1).
-  bool Sample(const V3f& receiver, const V3f& receiver_normal, float u_choice, const V2f& u,
+  bool Sample(const LightView& view, const LightWeights& weights, float u_choice, const V2f& u,
               LightSample* sample) const;
-  // 1/sr, of Sample choosing the point of a triangle that a ray from `receiver` along unit `wi` met
+  // 1/sr, of Sample choosing the point of a triangle that a ray from the viewer along unit `wi` met
   // at `distance`.
   float TrianglePdf(uint32_t instance, uint32_t triangle, const V3f& wi, float distance) const;
-  float EnvironmentPdf(const V3f& receiver_normal, const V3f& wi) const;
+  // Radiance from infinity, and the density with which Sample finds it; zeros without any.
+  V3f Escaped(const LightView& view, const V3f& wi, float* pdf) const;
 
  private:
   enum class Kind : uint8_t { kEnvironment, kPunctual, kTriangle };
@@ -70,6 +85,7 @@ class LightSampler {
   const Scene& scene_;
   const SurfaceReader& surfaces_;
   const EnvironmentSampler* environment_;
+  const LightGuide* guide_of_sky_ = nullptr;
   bool extended_ = false;
   std::vector<Entry> entries_;
   std::vector<float> running_sums_;      // of the choice's probabilities

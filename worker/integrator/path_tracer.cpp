@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/film/pixel_folder.h"
 #include "core/film/pixel_sample.h"
+#include "worker/integrator/light_guide.h"
 #include "worker/integrator/path_walker.h"
 #include "worker/integrator/sobol_sampler.h"
 
@@ -20,6 +21,7 @@ class PathTracer::Impl {
   std::unique_ptr<EmbreeScene> embree;
   std::unique_ptr<EnvironmentSampler> environment;  // null without one
   std::unique_ptr<LightSampler> lights;
+  std::unique_ptr<LightGuide> guide;  // null without an environment
   std::unique_ptr<CameraRays> camera;
   std::unique_ptr<PathWalker> walker;
 };
@@ -46,6 +48,11 @@ absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<S
   impl->lights =
       std::make_unique<LightSampler>(*s, *impl->surfaces, impl->environment.get(), radius);
   impl->camera = std::make_unique<CameraRays>(s->camera, settings.width, settings.height);
+  if (impl->environment != nullptr && impl->environment->emits()) {
+    impl->guide = LightGuide::Learn({*impl->surfaces, *impl->embree, *impl->environment,
+                                     *impl->camera, settings.width, settings.height});
+    impl->lights->SetGuide(impl->guide.get());
+  }
   impl->walker = std::make_unique<PathWalker>(
       PathWalker::Parts{*impl->surfaces, *impl->embree, impl->environment.get(), *impl->lights,
                         *impl->camera, settings.max_depth});
@@ -158,6 +165,7 @@ int64_t PathTracer::memory_bytes() const {
   int64_t bytes =
       impl_->scene->memory_bytes() + impl_->embree->memory_bytes() + impl_->lights->memory_bytes();
   if (impl_->environment != nullptr) bytes += impl_->environment->memory_bytes();
+  if (impl_->guide != nullptr) bytes += impl_->guide->memory_bytes();
   return bytes;
 }
 

@@ -48,9 +48,9 @@ struct PathWalker::PathState {
   bool escaped;
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);
-  int depth = 0;  // surfaces scattered at so far
-  float pdf = 0;  // 1/sr, with which the ray's direction was drawn; depth > 0
-  V3f normal;     // shading normal of the surface that the ray leaves; depth > 0
+  int depth = 0;   // surfaces scattered at so far
+  float pdf = 0;   // 1/sr, with which the ray's direction was drawn; depth > 0
+  LightView view;  // from the surface that the ray leaves; depth > 0
   uint64_t hash_key;
   // What a light adds if nothing is in the way of the shadow ray.
   bool has_shadow = false;
@@ -69,12 +69,14 @@ float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) 
 
 void PathWalker::AddEscaped(PathState* path) const {
   if (parts_.environment == nullptr) return;
-  float weight = 1;
-  if (path->depth > 0) {
-    const float light_pdf = parts_.lights.EnvironmentPdf(path->normal, path->ray.direction);
-    weight = StrategyWeight(path->pdf, light_pdf, LightStrategy::kBsdfOnly);
+  if (path->depth == 0) {
+    path->radiance += path->throughput * parts_.environment->Radiance(path->ray.direction);
+    return;
   }
-  path->radiance += path->throughput * parts_.environment->Radiance(path->ray.direction) * weight;
+  float light_pdf;
+  const V3f radiance = parts_.lights.Escaped(path->view, path->ray.direction, &light_pdf);
+  const float weight = StrategyWeight(path->pdf, light_pdf, LightStrategy::kBsdfOnly);
+  path->radiance += path->throughput * radiance * weight;
 }
 
 void PathWalker::AddEmission(const Surface& surface, PathState* path) const {
@@ -93,8 +95,10 @@ void PathWalker::SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb
                              const SobolSampler::Points& numbers, PathState* path) const {
   if (parts_.lights.empty()) return;
   LightSample light;
-  if (!parts_.lights.Sample(surface.position, surface.shading_normal, numbers[kChoice].x,
-                            numbers[kLightPoint], &light)) {
+  LightWeights weights;
+  parts_.lights.Look(surface, bsdf.transmits(), &path->view, &weights);
+  if (!parts_.lights.Sample(path->view, weights, numbers[kChoice].x, numbers[kLightPoint],
+                            &light)) {
     return;
   }
   // Above and below are the geometric surface's; the shading frame must agree (no light leaks).
@@ -137,7 +141,6 @@ bool PathWalker::Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& fr
                                above > 0 ? surface.geometric_normal : -surface.geometric_normal),
                direction, kInfinity};
   path->pdf = scattered.pdf;
-  path->normal = surface.shading_normal;
   ++path->depth;
   return true;
 }

@@ -18,8 +18,8 @@ namespace tessera {
 // Which of the two strategies may find a light. Both, weighted, unless a test compares them.
 enum class LightStrategy { kBoth, kBsdfOnly, kLightsOnly };
 
-// One sample to take: `sampler`'s, in pixel (x, y) of the frame. `seeds` are of its sequence; others
-// of the same sequence may share them.
+// One sample to take: `sampler`'s, in pixel (x, y) of the frame. `seeds` are of its sequence;
+// others of the same sequence may share them.
 struct PathRequest {
   SobolSampler sampler = SobolSampler(0, 0);
   SequenceSeeds* seeds = nullptr;

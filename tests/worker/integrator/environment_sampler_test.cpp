@@ -45,21 +45,87 @@ double SphereIntegral(const F& f) {
   return sum * 4 * kPiDouble / (kRows * kColumns);
 }
 
+struct FullView : SkyView {
+  SkyWeights weights;
+};
+
+FullView ViewOf(const EnvironmentSampler& sampler, const V3f& normal, bool transmits = false,
+                const SkyVisibility* visibility = nullptr) {
+  FullView view;
+  sampler.Look(normal, transmits, visibility, &view, &view.weights);
+  return view;
+}
+
+float Pdf(const EnvironmentSampler& sampler, const SkyView& view, const V3f& d) {
+  float pdf;
+  sampler.RadianceAndPdf(view, d, &pdf);
+  return pdf;
+}
+
+// Seen in part, here and there not at all.
+SkyVisibility Curtains() {
+  SkyVisibility visibility;
+  for (int i = 0; i < kSkyCells; ++i) visibility[i] = static_cast<uint8_t>(i % 5 * 60);
+  return visibility;
+}
+
 TEST(EnvironmentSamplerTest, PdfIntegratesToOne) {
+  const SkyVisibility curtains = Curtains();
   for (float rotate : {0.f, 1.3f}) {
-    EnvironmentLight light = Map(rotate);
-    const EnvironmentSampler sampler(&light);
-    const V3f up(0, 1, 0);
-    EXPECT_NEAR(SphereIntegral([&](const V3f& d) { return sampler.Pdf(up, d); }), 1, 5e-3);
-    EXPECT_NEAR(SphereIntegral([&](const V3f& d) { return Luminance(sampler.Radiance(d)); }),
-                sampler.irradiance(), 0.02 * sampler.irradiance());
+    EnvironmentLight map = Map(rotate), uniform;
+    uniform.uniform = V3f(1, 2, 3);
+    for (EnvironmentLight* light : {&map, &uniform}) {
+      const EnvironmentSampler sampler(light);
+      const V3f slanted = V3f(1, 2, -1).normalized();
+      for (const SkyVisibility* visibility :
+           {static_cast<const SkyVisibility*>(nullptr), &curtains}) {
+        for (bool transmits : {false, true}) {
+          const FullView view = ViewOf(sampler, slanted, transmits, visibility);
+          EXPECT_NEAR(SphereIntegral([&](const V3f& d) { return Pdf(sampler, view, d); }), 1, 5e-3);
+        }
+      }
+      EXPECT_NEAR(SphereIntegral([&](const V3f& d) { return Luminance(sampler.Radiance(d)); }),
+                  sampler.irradiance(), 0.02 * sampler.irradiance());
+    }
   }
+}
+
+TEST(EnvironmentSamplerTest, ViewsTotalIsTheIrradianceAboveTheHorizon) {
+  EnvironmentLight light;
+  light.uniform = V3f(1);
+  const EnvironmentSampler sampler(&light);
+  const V3f up(0, 1, 0);
+  EXPECT_NEAR(ViewOf(sampler, up).total, kPiFloat, 1e-4);
+  SkyVisibility visibility;
+  visibility.fill(255);
+  EXPECT_NEAR(ViewOf(sampler, up, false, &visibility).total, kPiFloat, 0.06f * kPiFloat);
+  visibility.fill(51);
+  EXPECT_NEAR(ViewOf(sampler, up, false, &visibility).total, 0.23 * kPiFloat, 0.02f * kPiFloat);
+}
+
+TEST(EnvironmentSamplerTest, HiddenCellsAreSeldomChosen) {
+  EnvironmentLight light;
+  light.uniform = V3f(1);
+  const EnvironmentSampler sampler(&light);
+  SkyVisibility visibility = {};
+  visibility[kSkyColumns + 3] = 255;
+  const FullView view = ViewOf(sampler, V3f(0, 1, 0), false, &visibility);
+  int chosen = 0;
+  for (int i = 0; i < 256; ++i) {
+    const DirectionSample s =
+        sampler.Sample(view, view.weights, SobolSampler(1, 0, 0, 2 * i).Get2D(0));
+    const V3f d = s.direction;
+    chosen += d.y > 0.5f && d.y < 0.75f && Pdf(sampler, view, d) > 1;
+  }
+  EXPECT_GT(chosen, 80);
+  EXPECT_LT(chosen, 256);
 }
 
 TEST(EnvironmentSamplerTest, SamplesFollowThePdfAndRadianceHasSupport) {
   EnvironmentLight light = Map(0.7f);
   const EnvironmentSampler sampler(&light);
-  const V3f up(0, 1, 0);
+  const SkyVisibility curtains = Curtains();
+  const FullView view = ViewOf(sampler, V3f(1, 1, 0.5f).normalized(), true, &curtains);
   constexpr int kCells = 12, kSamples = 40000;
   std::vector<double> expected(kCells * kCells, 0), counts(kCells * kCells, 0);
   const auto cell = [](const V3f& d) {
@@ -68,16 +134,18 @@ TEST(EnvironmentSamplerTest, SamplesFollowThePdfAndRadianceHasSupport) {
     return r * kCells + std::min(static_cast<int>(turns * kCells), kCells - 1);
   };
   SphereIntegral([&](const V3f& d) {
-    expected[cell(d)] += sampler.Pdf(up, d) * kSamples * 4 * kPiDouble / (kRows * kColumns);
-    EXPECT_TRUE(sampler.Pdf(up, d) > 0 || Luminance(sampler.Radiance(d)) == 0);
+    expected[cell(d)] += Pdf(sampler, view, d) * kSamples * 4 * kPiDouble / (kRows * kColumns);
+    EXPECT_TRUE(Pdf(sampler, view, d) > 0 || Luminance(sampler.Radiance(d)) == 0);
     return 0.f;
   });
   int differing = 0;
   for (int i = 0; i < kSamples; ++i) {
-    const DirectionSample s = sampler.Sample(up, SobolSampler(5, i, 0, 0).Get2D(0));
+    const DirectionSample s = sampler.Sample(view, view.weights, SobolSampler(5, i, 0, 0).Get2D(0));
     EXPECT_NEAR(s.direction.length(), 1, 1e-5);
+    EXPECT_NEAR((s.radiance - sampler.Radiance(s.direction)).length(), 0,
+                2e-3f * (1 + s.radiance.length()));
     // On the border of two texels rounding may name the other one.
-    differing += std::fabs(s.pdf - sampler.Pdf(up, s.direction)) > 1e-4f * s.pdf;
+    differing += std::fabs(s.pdf - Pdf(sampler, view, s.direction)) > 1e-4f * s.pdf;
     ++counts[cell(s.direction)];
   }
   EXPECT_LE(differing, kSamples / 1000);
@@ -96,10 +164,12 @@ TEST(EnvironmentSamplerTest, SamplesFollowThePdfAndRadianceHasSupport) {
 TEST(EnvironmentSamplerTest, SamplesEstimateTheIntegralOfTheRadiance) {
   EnvironmentLight light = Map(2);
   const EnvironmentSampler sampler(&light);
+  const FullView view = ViewOf(sampler, V3f(0, 1, 0), true);
   double sum = 0;
   constexpr int kSamples = 1 << 14;
   for (int i = 0; i < kSamples; ++i) {
-    const DirectionSample s = sampler.Sample(V3f(0, 1, 0), SobolSampler(5, 0, 0, 2 * i).Get2D(0));
+    const DirectionSample s =
+        sampler.Sample(view, view.weights, SobolSampler(5, 0, 0, 2 * i).Get2D(0));
     sum += Luminance(sampler.Radiance(s.direction)) / s.pdf;
   }
   const double exact = SphereIntegral([&](const V3f& d) { return Luminance(sampler.Radiance(d)); });
@@ -121,18 +191,19 @@ TEST(EnvironmentSamplerTest, IsOrientedAsTheSkyMapping) {
   }
 }
 
-TEST(EnvironmentSamplerTest, UniformSkyIsDrawnByTheCosine) {
+TEST(EnvironmentSamplerTest, AnOpenUniformSkyIsDrawnByTheCosine) {
   EnvironmentLight light;
   light.uniform = V3f(1, 2, 3);
   const EnvironmentSampler sampler(&light);
   const V3f normal = V3f(1, 2, -1).normalized();
+  const FullView view = ViewOf(sampler, normal);
   for (int i = 0; i < 100; ++i) {
-    const DirectionSample s = sampler.Sample(normal, SobolSampler(1, i, 0, 0).Get2D(0));
+    const DirectionSample s = sampler.Sample(view, view.weights, SobolSampler(1, i, 0, 0).Get2D(0));
     EXPECT_NEAR(s.pdf, s.direction.dot(normal) / kPiFloat, 1e-5);
-    EXPECT_NEAR(s.pdf, sampler.Pdf(normal, s.direction), 1e-5);
+    EXPECT_NEAR(s.pdf, Pdf(sampler, view, s.direction), 1e-5);
     EXPECT_EQ(sampler.Radiance(s.direction), V3f(1, 2, 3));
   }
-  EXPECT_EQ(sampler.Pdf(normal, -normal), 0);
+  EXPECT_EQ(Pdf(sampler, view, -normal), 0);
 }
 
 TEST(EnvironmentSamplerTest, BadTexelsCountAsBlack) {

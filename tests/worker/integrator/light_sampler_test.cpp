@@ -13,6 +13,19 @@
 namespace tessera::testing {
 namespace {
 
+struct FullView : LightView {
+  LightWeights weights;
+};
+
+FullView ViewFrom(const OpenTracer& tracer, const V3f& position, const V3f& normal) {
+  Surface surface;
+  surface.position = position;
+  surface.geometric_normal = surface.shading_normal = normal;
+  FullView view;
+  tracer.lights().Look(surface, false, &view, &view.weights);
+  return view;
+}
+
 // Two emissive quads, one three times as strong, a black one, one instanced twice and mirrored.
 std::unique_ptr<Scene> Lamps() {
   auto scene = std::make_unique<Scene>();
@@ -31,12 +44,13 @@ std::unique_ptr<Scene> Lamps() {
 TEST(LightSamplerTest, SampledDensityIsThePdfThatHitsAreGiven) {
   const OpenTracer tracer(Lamps(), 1, 1, 0);
   const V3f receiver(0.2f, -0.5f, 0.1f);
+  const FullView view = ViewFrom(tracer, receiver, V3f(0, 1, 0));
   std::map<std::pair<uint32_t, uint32_t>, int> hits;
   for (int i = 0; i < 4096; ++i) {
     const SobolSampler sampler(1, 0, 0, 2 * i);
     LightSample light;
-    ASSERT_TRUE(tracer.lights().Sample(receiver, V3f(0, 1, 0), sampler.Get2D(0).x, sampler.Get2D(1),
-                                       &light));
+    ASSERT_TRUE(
+        tracer.lights().Sample(view, view.weights, sampler.Get2D(0).x, sampler.Get2D(1), &light));
     RayHit hit;
     ASSERT_TRUE(tracer.embree().Intersect({receiver, light.wi, 1e30f}, 0, &hit));
     const float pdf = tracer.lights().TrianglePdf(hit.instance, hit.triangle, light.wi, hit.t);
@@ -81,13 +95,13 @@ TEST(LightSamplerTest, EveryGroupKeepsAShareHoweverWeak) {
   scene->environment.emplace();
   scene->environment->uniform = V3f(1e4f);
   const OpenTracer tracer(std::move(scene), 1, 1, 0);
+  const FullView view = ViewFrom(tracer, V3f(0, 0, 0), V3f(0, 1, 0));
   int punctual = 0, infinite = 0;
   constexpr int kCount = 1024;
   for (int i = 0; i < kCount; ++i) {
     LightSample light;
     const SobolSampler sampler(1, 0, 0, 2 * i);
-    tracer.lights().Sample(V3f(0, 0, 0), V3f(0, 1, 0), sampler.Get2D(0).x, sampler.Get2D(1),
-                           &light);
+    tracer.lights().Sample(view, view.weights, sampler.Get2D(0).x, sampler.Get2D(1), &light);
     punctual += light.punctual;
     infinite += light.at_infinity && !light.punctual;
   }

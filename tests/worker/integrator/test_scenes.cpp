@@ -150,6 +150,11 @@ OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int 
       *surfaces_, *embree_, environment_.get(), *lights_, *camera_, max_depth, strategy});
 }
 
+void OpenTracer::Guide() {
+  guide_ = LightGuide::Learn({*surfaces_, *embree_, *environment_, *camera_, width_, height_});
+  lights_->SetGuide(guide_.get());
+}
+
 RadianceMoments OpenTracer::Render(int64_t spp, int repeats) const {
   std::array<double, 3> sum = {}, sum2 = {};
   RadianceMoments moments;

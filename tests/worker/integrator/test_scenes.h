@@ -48,6 +48,9 @@ class OpenTracer {
   OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int max_depth,
              LightStrategy strategy = LightStrategy::kBoth);
 
+  // Lets a pilot learn the sky's visibility; the scene must have an environment.
+  void Guide();
+
   // Mean radiance of every pixel, and its standard error over `repeats` independent seeds.
   RadianceMoments Render(int64_t spp, int repeats) const;
 
@@ -55,6 +58,7 @@ class OpenTracer {
   const SurfaceReader& surfaces() const { return *surfaces_; }
   const EmbreeScene& embree() const { return *embree_; }
   const LightSampler& lights() const { return *lights_; }
+  const LightGuide& guide() const { return *guide_; }
   const PathWalker& walker() const { return *walker_; }
 
  private:
@@ -65,6 +69,7 @@ class OpenTracer {
   std::unique_ptr<EmbreeScene> embree_;
   std::unique_ptr<EnvironmentSampler> environment_;
   std::unique_ptr<LightSampler> lights_;
+  std::unique_ptr<LightGuide> guide_;
   std::unique_ptr<CameraRays> camera_;
   std::unique_ptr<PathWalker> walker_;
 };

@@ -1,0 +1,92 @@
+#include "worker/integrator/light_guide.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <utility>
+
+#include "tests/worker/integrator/test_scenes.h"
+
+namespace tessera::testing {
+namespace {
+
+// A box of 4 m whose wall towards +x has a window that its middle third fills; seen from inside.
+std::unique_ptr<Scene> Room() {
+  auto scene = std::make_unique<Scene>();
+  Scene* s = scene.get();
+  const int wall = AddMaterial(Lambert(V3f(0.6f)), s);
+  AddMesh(Quad(wall, {-2, -2, -2}, {0, 0, 4}, {4, 0, 0}), s);
+  AddMesh(Quad(wall, {-2, 2, -2}, {4, 0, 0}, {0, 0, 4}), s);
+  AddMesh(Quad(wall, {-2, -2, -2}, {0, 4, 0}, {0, 0, 4}), s);
+  AddMesh(Quad(wall, {-2, -2, -2}, {4, 0, 0}, {0, 4, 0}), s);
+  AddMesh(Quad(wall, {-2, -2, 2}, {0, 4, 0}, {4, 0, 0}), s);
+  AddMesh(Quad(wall, {2, -2, -2}, {0, 0, 4}, {0, 1.5f, 0}), s);
+  AddMesh(Quad(wall, {2, 0.5f, -2}, {0, 0, 4}, {0, 1.5f, 0}), s);
+  AddMesh(Quad(wall, {2, -0.5f, -2}, {0, 0, 1.5f}, {0, 1, 0}), s);
+  AddMesh(Quad(wall, {2, -0.5f, 0.5f}, {0, 0, 1.5f}, {0, 1, 0}), s);
+  s->environment.emplace();
+  s->environment->uniform = V3f(2);
+  s->camera = Camera({1.5f, 0, 0}, {-2, 0, 0}, 70);
+  return scene;
+}
+
+int DirectionCell(const V3f& d) {
+  const int row = std::min(static_cast<int>((1 - d.y) * 0.5f * kSkyRows), kSkyRows - 1);
+  const float turns = static_cast<float>(std::atan2(d.z, d.x) / (2 * M_PI)) + 0.5f;
+  return row * kSkyColumns + std::min(static_cast<int>(turns * kSkyColumns), kSkyColumns - 1);
+}
+
+TEST(LightGuideTest, LearnsWhereTheWindowIs) {
+  OpenTracer tracer(Room(), 32, 32, 4);
+  tracer.Guide();
+  EXPECT_GT(tracer.guide().num_regions(), 100);
+  const SkyVisibility* seen = tracer.guide().Sky({-2, 0, 0}, {1, 0, 0});
+  ASSERT_NE(seen, nullptr);
+  // Straight ahead lies the window, in parts of four cells; up and to the side there are walls.
+  int ahead = 0;
+  for (float y : {-0.01f, 0.01f}) {
+    for (float z : {-0.01f, 0.01f}) ahead += (*seen)[DirectionCell(V3f(1, y, z))];
+  }
+  EXPECT_GT(ahead, 80);
+  EXPECT_LT((*seen)[DirectionCell(V3f(1, 1, 0.2f).normalized())], 30);
+  EXPECT_LT((*seen)[DirectionCell(V3f(0.7f, 0.05f, 0.7f).normalized())], 30);
+}
+
+TEST(LightGuideTest, AnOpenSceneNeedsNoGuide) {
+  auto scene = std::make_unique<Scene>();
+  AddMesh(Quad(AddMaterial(Lambert(V3f(1)), scene.get()), {-1, 0, -1}, {0, 0, 2}, {2, 0, 0}),
+          scene.get());
+  scene->environment.emplace();
+  scene->environment->uniform = V3f(1);
+  scene->camera = Camera({0, 2, 0}, {0, 0, 0}, 30);
+  OpenTracer tracer(std::move(scene), 8, 8, 4);
+  tracer.Guide();
+  EXPECT_EQ(tracer.guide().Sky({0, 0, 0}, {0, 1, 0}), nullptr);
+}
+
+TEST(LightGuideTest, KeepsTheMeanAndLowersTheError) {
+  const OpenTracer plain(Room(), 12, 12, 5);
+  OpenTracer guided(Room(), 12, 12, 5);
+  guided.Guide();
+  const RadianceMoments a = plain.Render(64, 12), b = guided.Render(64, 12);
+  for (int c = 0; c < 3; ++c) {
+    const double error = std::hypot(a.standard_error[c], b.standard_error[c]);
+    EXPECT_NEAR(a.mean[c], b.mean[c], 4.5 * error);  // fails by chance once in 10^5
+  }
+  EXPECT_LT(b.standard_error[0], a.standard_error[0]);
+}
+
+TEST(LightGuideTest, IsAPureFunctionOfTheScene) {
+  OpenTracer a(Room(), 16, 16, 4), b(Room(), 16, 16, 4);
+  a.Guide();
+  b.Guide();
+  ASSERT_EQ(a.guide().num_regions(), b.guide().num_regions());
+  for (int i = 0; i < 100; ++i) {
+    const V3f p(-2, 0.03f * static_cast<float>(i - 50), 0.02f * static_cast<float>(i - 50));
+    EXPECT_EQ(*a.guide().Sky(p, {1, 0, 0}), *b.guide().Sky(p, {1, 0, 0}));
+  }
+}
+
+}  // namespace
+}  // namespace tessera::testing

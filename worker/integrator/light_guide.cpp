@@ -1,0 +1,162 @@
+#include "worker/integrator/light_guide.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "worker/integrator/onb.h"
+#include "worker/integrator/portable_math.h"
+#include "worker/integrator/ray_offset.h"
+#include "worker/integrator/sobol_sampler.h"
+
+namespace tessera {
+namespace {
+
+constexpr int kCameraPathsMax = 8192;
+constexpr int kHitsPerPathMax = 4;
+// Of the pilot's own numbers: independent of any job's seed.
+constexpr uint64_t kPilotSeed = 0x70696c6f74ull;
+// Points that a region is learnt from, at most: a region is split while it has more.
+constexpr size_t kRegionPoints = 16;
+constexpr int kAxes = 6;
+// Of a normal's variance against the positions': normals matter where walls are thin.
+constexpr double kNormalScale = 0.1 * 3;
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+}  // namespace
+
+std::unique_ptr<LightGuide> LightGuide::Learn(const Parts& parts) {
+  auto guide = std::make_unique<LightGuide>();
+  std::vector<Point> points = TracePaths(parts);
+  if (points.empty()) return guide;
+  V3d mean(0, 0, 0), square(0, 0, 0);
+  for (const Point& p : points) {
+    mean += V3d(p.position) / static_cast<double>(points.size());
+  }
+  for (const Point& p : points) {
+    const V3d d = V3d(p.position) - mean;
+    square += V3d(d.x * d.x, d.y * d.y, d.z * d.z) / static_cast<double>(points.size());
+  }
+  const double variance = square.x + square.y + square.z;
+  guide->position_scale_ = variance > 0 ? static_cast<float>(1 / variance) : 0.f;
+  guide->nodes_.emplace_back();
+  guide->Split(0, &points, 0, points.size());
+  for (const auto& [begin, end] : guide->region_points_) {
+    guide->regions_.push_back(guide->LearnRegion(parts, &points[begin], end - begin));
+  }
+  guide->region_points_ = {};
+  return guide;
+}
+
+std::vector<LightGuide::Point> LightGuide::TracePaths(const Parts& parts) {
+  std::vector<Point> points;
+  for (int i = 0; i < kCameraPathsMax && points.size() < kPointsMax; ++i) {
+    const SobolSampler sampler(kPilotSeed, 0, 0, 2 * int64_t{i});
+    const V2f pixel = sampler.Get2D(0);
+    const CameraRay camera =
+        parts.camera.At(pixel.x * static_cast<float>(parts.width),
+                        pixel.y * static_cast<float>(parts.height), V2f(0.5f, 0.5f));
+    Ray ray = {camera.origin, camera.direction, kInfinity};
+    for (int bounce = 0; bounce < kHitsPerPathMax && points.size() < kPointsMax; ++bounce) {
+      RayHit hit;
+      if (!parts.embree.Intersect(ray, sampler.HashKey() + static_cast<uint64_t>(bounce), &hit)) {
+        break;
+      }
+      const Surface surface = parts.surfaces.Read(hit, -ray.direction);
+      points.push_back({surface.position, surface.geometric_normal});
+      // On by the cosine, as from a diffuse surface.
+      const V2f u = sampler.Get2D(static_cast<uint32_t>(bounce) + 1);
+      const SinCos<float> phi = SinCosTurns(u.x);
+      const float r = std::sqrt(u.y);
+      const V3f local(r * phi.cos, r * phi.sin, std::sqrt(1 - u.y));
+      ray = {OffsetRayOrigin(surface.position, surface.geometric_normal),
+             Unit(Onb(surface.geometric_normal).ToWorld(local)), kInfinity};
+    }
+  }
+  return points;
+}
+
+void LightGuide::Split(uint32_t node, std::vector<Point>* points, size_t begin, size_t end) {
+  const auto make_leaf = [&] {
+    nodes_[node] = {0, -1, static_cast<uint32_t>(region_points_.size())};
+    region_points_.emplace_back(begin, end);
+  };
+  if (end - begin <= kRegionPoints) return make_leaf();
+  // The axis of the greatest spread.
+  int axis = 0;
+  double most = -1;
+  for (int a = 0; a < kAxes; ++a) {
+    double sum = 0, squares = 0;
+    for (size_t i = begin; i < end; ++i) sum += (*points)[i].Coordinate(a);
+    const double mean = sum / static_cast<double>(end - begin);
+    for (size_t i = begin; i < end; ++i) {
+      const double d = (*points)[i].Coordinate(a) - mean;
+      squares += d * d;
+    }
+    const double spread = squares * (a < 3 ? double{position_scale_} : kNormalScale);
+    if (spread > most) {
+      most = spread;
+      axis = a;
+    }
+  }
+  std::vector<float> keys;
+  for (size_t i = begin; i < end; ++i) keys.push_back((*points)[i].Coordinate(axis));
+  std::sort(keys.begin(), keys.end());
+  const float split = keys[keys.size() / 2];
+  const auto middle = std::stable_partition(
+      points->begin() + static_cast<int64_t>(begin), points->begin() + static_cast<int64_t>(end),
+      [&](const Point& p) { return p.Coordinate(axis) < split; });
+  const size_t at = static_cast<size_t>(middle - points->begin());
+  if (at == begin || at == end) return make_leaf();
+  const uint32_t child = static_cast<uint32_t>(nodes_.size());
+  nodes_[node] = {split, axis, child};
+  nodes_.resize(nodes_.size() + 2);
+  Split(child, points, begin, at);
+  Split(child + 1, points, at, end);
+}
+
+LightGuide::Region LightGuide::LearnRegion(const Parts& parts, const Point* points,
+                                           size_t count) const {
+  Region region;
+  region.open = true;
+  // Of a leaf that could not be split there may be many points.
+  const size_t step = (count + kRegionPoints - 1) / kRegionPoints;
+  for (int cell = 0; cell < kSkyCells; ++cell) {
+    float seen = 0;
+    int rays = 0;
+    for (size_t i = 0; i < count; i += step) {
+      const Point& p = points[i];
+      const SobolSampler sampler(kPilotSeed, 1, cell, 2 * static_cast<int64_t>(i));
+      const DirectionSample d = parts.environment.SampleCell(cell, sampler.Get2D(0));
+      if (!(d.pdf > 0) || d.direction.dot(p.normal) <= 0) continue;
+      ++rays;
+      seen += parts.embree.Transmittance(
+          {OffsetRayOrigin(p.position, p.normal), d.direction, kInfinity});
+    }
+    // Half a ray's doubt.
+    const float share = rays > 0 ? (seen + 0.5f) / (static_cast<float>(rays) + 1) : 1.f;
+    if (seen < static_cast<float>(rays)) region.open = false;
+    region.sky[cell] = static_cast<uint8_t>(255 * share);
+  }
+  return region;
+}
+
+const SkyVisibility* LightGuide::Sky(const V3f& position, const V3f& normal) const {
+  if (regions_.empty()) return nullptr;
+  const float coordinates[kAxes] = {position.x, position.y, position.z,
+                                    normal.x,   normal.y,   normal.z};
+  const Node* node = nodes_.data();
+  while (node->axis >= 0) {
+    node = &nodes_[node->child + (coordinates[node->axis] < node->split ? 0 : 1)];
+  }
+  const Region& region = regions_[node->child];
+  return region.open ? nullptr : &region.sky;
+}
+
+int64_t LightGuide::memory_bytes() const {
+  return static_cast<int64_t>(sizeof(Node) * nodes_.size() + sizeof(Region) * regions_.size());
+}
+
+}  // namespace tessera

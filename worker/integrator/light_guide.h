@@ -1,0 +1,69 @@
+// What a deterministic pilot learnt, while the scene is loaded, of the light that arrives where
+// paths go: by regions of positions and normals, the share of each cell of the sky that is seen.
+// It steers sampling only: any guide gives the same mean. In the spirit of Mueller et al. 2017,
+// "Practical Path Guiding", with visibility instead of radiance and a pilot instead of training.
+#pragma once
+
+#include <Imath/ImathVec.h>
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "worker/integrator/camera_rays.h"
+#include "worker/integrator/embree_scene.h"
+#include "worker/integrator/environment_sampler.h"
+#include "worker/integrator/surface_reader.h"
+
+namespace tessera {
+
+class LightGuide {
+ public:
+  struct Parts {
+    const SurfaceReader& surfaces;
+    const EmbreeScene& embree;
+    const EnvironmentSampler& environment;
+    const CameraRays& camera;
+    int width, height;  // of the frame, pixels
+  };
+  // Traces the pilot: at most kPointsMax points and as many sky cells' rays from each. A pure
+  // function of the parts (C2).
+  static std::unique_ptr<LightGuide> Learn(const Parts& parts);
+
+  // What of the sky is seen about a point whose geometric normal (unit, on the receiver's side) is
+  // `normal`; null where all of it is.
+  const SkyVisibility* Sky(const V3f& position, const V3f& normal) const;
+
+  int64_t memory_bytes() const;
+  // For tests: regions that were learnt.
+  int num_regions() const { return static_cast<int>(regions_.size()); }
+
+  static constexpr int kPointsMax = 4096;
+
+ private:
+  struct Point {
+    V3f position, normal;
+    float Coordinate(int axis) const { return axis < 3 ? position[axis] : normal[axis - 3]; }
+  };
+  // Of a k-d tree over positions (axes 0-2) and normals (3-5).
+  struct Node {
+    float split;
+    int32_t axis;    // -1: a leaf
+    uint32_t child;  // the first of two; of a leaf: its region
+  };
+  struct Region {
+    SkyVisibility sky;
+    bool open;  // all is seen
+  };
+
+  static std::vector<Point> TracePaths(const Parts& parts);
+  void Split(uint32_t node, std::vector<Point>* points, size_t begin, size_t end);
+  Region LearnRegion(const Parts& parts, const Point* points, size_t count) const;
+
+  float position_scale_ = 0;  // 1/m^2: over the variance of all positions
+  std::vector<Node> nodes_;
+  std::vector<Region> regions_;
+  std::vector<std::pair<size_t, size_t>> region_points_;  // while learning
+};
+
+}  // namespace tessera
