@@ -14,8 +14,8 @@ class WorkerService final : public v1::WorkerService::CallbackService {
       : host_(host), sessions_(sessions) {}
 
   grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Work(
-      grpc::CallbackServerContext*) override {
-    return sessions_.Accept();
+      grpc::CallbackServerContext* context) override {
+    return sessions_.Accept(context);
   }
   grpc::ServerUnaryReactor* ListWorkers(grpc::CallbackServerContext* context,
                                         const v1::ListWorkersRequest*,

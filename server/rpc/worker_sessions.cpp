@@ -3,10 +3,13 @@
 #include <deque>
 #include <string>
 
+#include <grpcpp/server_context.h>
+
 #include "absl/strings/str_cat.h"
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
+#include "server/coordinator_host.h"
 #include "server/log.h"
 #include "server/rpc/rpc_status.h"
 
@@ -14,6 +17,7 @@ namespace tessera {
 namespace {
 
 constexpr size_t kQueuedMessagesMax = 16384;  // towards one worker that does not read
+constexpr int64_t kEndGraceMs = 2000;  // in which an ending stream's last message may go out
 
 // Decodes the delta's payload. Errors: INVALID_ARGUMENT.
 absl::StatusOr<DeltaEvent> DecodeEvent(SessionId session, v1::TileDelta* delta) {
@@ -42,10 +46,21 @@ absl::StatusOr<DeltaEvent> DecodeEvent(SessionId session, v1::TileDelta* delta) 
 
 class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage> {
  public:
-  WorkReactor(WorkerSessions* sessions, SessionId session)
-      : sessions_(sessions), session_(session) {}
+  WorkReactor(WorkerSessions* sessions, SessionId session, grpc::CallbackServerContext* context)
+      : sessions_(sessions), session_(session), context_(context) {}
 
   void Begin() { StartRead(&incoming_); }
+
+  // Cancels a stream that should have ended, but whose peer does not take what it was sent.
+  void Pump(int64_t now_ms) {
+    {
+      std::lock_guard lock(mu_);
+      if (!ending_ || cancelled_ || now_ms - end_ms_ < kEndGraceMs) return;
+      cancelled_ = true;
+    }
+    ServerLog().warn("session={} cancelled: the worker does not read", session_);
+    context_->TryCancel();
+  }
 
   void Send(const v1::CoordinatorMessage& message) {
     std::lock_guard lock(mu_);
@@ -65,9 +80,11 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
 
   void OnReadDone(bool ok) override {
     if (!ok) return End(absl::OkStatus());
+    if (!IsOpen()) return;
     const absl::Status status = Handle(incoming_);
     if (!status.ok()) return End(status);
-    StartRead(&incoming_);
+    std::lock_guard lock(mu_);
+    if (!ending_) StartRead(&incoming_);
   }
   void OnWriteDone(bool ok) override {
     std::lock_guard lock(mu_);
@@ -134,6 +151,10 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
     return absl::OkStatus();
   }
 
+  bool IsOpen() {
+    std::lock_guard lock(mu_);
+    return !ending_;
+  }
   void WriteLocked() {
     writing_ = true;
     StartWrite(&outgoing_.front());
@@ -142,6 +163,7 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
   void EndLocked(const absl::Status& status) {
     if (ending_) return;
     ending_ = true;
+    end_ms_ = Now().monotonic_ms;
     status_ = status;
     if (outgoing_.size() > 1) outgoing_.resize(1);
     if (!writing_) FinishLocked();
@@ -157,6 +179,7 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
 
   WorkerSessions* const sessions_;
   const SessionId session_;
+  grpc::CallbackServerContext* const context_;
   v1::WorkerMessage incoming_;
   bool greeted_ = false;  // reading side only
 
@@ -166,13 +189,15 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
   bool writing_ = false;
   bool cancelled_ = false;
   bool ending_ = false;
+  int64_t end_ms_ = 0;  // when that began
   bool finished_ = false;
 };
 
-grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* WorkerSessions::Accept() {
+grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* WorkerSessions::Accept(
+    grpc::CallbackServerContext* context) {
   std::lock_guard lock(mu_);
   const SessionId session = next_session_++;
-  auto* const reactor = new WorkReactor(this, session);
+  auto* const reactor = new WorkReactor(this, session, context);
   reactors_[session] = reactor;
   if (closed_) {
     reactor->End(absl::UnavailableError("the server is stopping"));
@@ -192,6 +217,11 @@ void WorkerSessions::End(SessionId session, const absl::Status& status) {
   std::lock_guard lock(mu_);
   const auto it = reactors_.find(session);
   if (it != reactors_.end()) it->second->End(status);
+}
+
+void WorkerSessions::Pump(int64_t now_ms) {
+  std::lock_guard lock(mu_);
+  for (const auto& [session, reactor] : reactors_) reactor->Pump(now_ms);
 }
 
 void WorkerSessions::Close() {

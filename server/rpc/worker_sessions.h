@@ -24,11 +24,14 @@ class WorkerSessions {
   explicit WorkerSessions(Post post) : post_(std::move(post)) {}
 
   // The reactor of a new stream. It deletes itself.
-  grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Accept();
+  grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Accept(
+      grpc::CallbackServerContext* context);
 
   // Effects; never block. Unknown sessions are ignored: their stream has ended.
   void Send(SessionId session, const v1::CoordinatorMessage& message);
   void End(SessionId session, const absl::Status& status);
+  // Cancels ended streams whose worker does not read its last message. Call it now and then.
+  void Pump(int64_t now_ms);
   // Ends all streams with UNAVAILABLE; later ones end at once.
   void Close();
 
