@@ -115,6 +115,47 @@ Picture::Picture(const v1::JobSettings& settings)
 
 double Picture::Update(const std::vector<int64_t>& changed, const TileSource& source,
                        DenoiseQuality quality, int num_threads) {
+  if (quality == DenoiseQuality::kFinal) {
+    return Absorb(changed, source, num_threads) +
+           Refine(std::numeric_limits<int64_t>::max(), num_threads);
+  }
+  std::vector<int64_t> stale;
+  double cpu_seconds = TakeTiles(changed, source, num_threads, &stale);
+  if (quality != quality_) rough_.insert(stale.begin(), stale.end());
+  cpu_seconds += FilterTiles(stale, quality, num_threads);
+  std::unique_lock lock(mu_);
+  is_refined_ = rough_.empty();
+  ++version_;
+  return cpu_seconds;
+}
+
+double Picture::Absorb(const std::vector<int64_t>& changed, const TileSource& source,
+                       int num_threads) {
+  std::vector<int64_t> stale;
+  const double cpu_seconds = TakeTiles(changed, source, num_threads, &stale);
+  rough_.insert(stale.begin(), stale.end());
+  std::unique_lock lock(mu_);
+  is_refined_ = false;
+  return cpu_seconds;
+}
+
+double Picture::Refine(int64_t pixels_max, int num_threads) {
+  std::vector<int64_t> slice;
+  int64_t pixels = 0;
+  while (!rough_.empty() && pixels < pixels_max) {
+    slice.push_back(*rough_.begin());
+    pixels += grid_.WindowOf(slice.back()).area();
+    rough_.erase(rough_.begin());
+  }
+  const double cpu_seconds = FilterTiles(slice, quality_, num_threads);
+  std::unique_lock lock(mu_);
+  is_refined_ = rough_.empty();
+  if (version_ > 0 || is_refined_) ++version_;
+  return cpu_seconds;
+}
+
+double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource& source,
+                          int num_threads, std::vector<int64_t>* stale) {
   std::vector<int64_t> resolved;
   double cpu_seconds = Resolve(changed, source, num_threads, &resolved);
   const std::vector<PixelRect> moved =
@@ -124,24 +165,18 @@ double Picture::Update(const std::vector<int64_t>& changed, const TileSource& so
     cpu_seconds += ParallelFor(moved.size(), num_threads,
                                [&](size_t i) { CalibrateVariance(moved[i], &planes_); });
   }
-  std::vector<int64_t> stale =
-      Reached(grid_, resolved, kCalibrationRadiusPx + denoiser_->halo_px());
-  if (quality == DenoiseQuality::kFinal) {
-    rough_.insert(stale.begin(), stale.end());
-    stale.assign(rough_.begin(), rough_.end());
-    rough_.clear();
-    quality = quality_;
-  } else if (quality != quality_) {
-    rough_.insert(stale.begin(), stale.end());
-  }
-  const std::vector<PixelRect> windows = JoinTiles(grid_, stale);
-  cpu_seconds += Filter(windows, quality, num_threads);
+  *stale = Reached(grid_, resolved, kCalibrationRadiusPx + denoiser_->halo_px());
+  return cpu_seconds;
+}
+
+double Picture::FilterTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality,
+                            int num_threads) {
+  const std::vector<PixelRect> windows = JoinTiles(grid_, tiles);
+  double cpu_seconds = Filter(windows, quality, num_threads);
   cpu_seconds += SumErrors(windows, num_threads);
   const double error = EstimateError();
   std::unique_lock lock(mu_);
   estimated_error_ = error;
-  is_refined_ = rough_.empty();
-  ++version_;
   return cpu_seconds;
 }
 

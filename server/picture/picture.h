@@ -36,10 +36,15 @@ class Picture {
   // ready. Returns the seconds of CPU that it took, all threads together.
   double Update(const std::vector<int64_t>& changed, const TileSource& source,
                 DenoiseQuality quality, int num_threads);
+  // Update at the job's quality in slices, between which others may have the cores: Absorb takes
+  // the tiles, then each Refine filters about pixels_max pixels, until is_refined(). The same bits
+  // for any slices. Both return seconds of CPU.
+  double Absorb(const std::vector<int64_t>& changed, const TileSource& source, int num_threads);
+  double Refine(int64_t pixels_max, int num_threads);
 
   // The pixels that it has.
   const PixelRect& region() const { return grid_.region(); }
-  // Grows with each Update.
+  // Grows with each Update and, once the picture has been whole, with each Refine; 0 before that.
   uint64_t version() const;
   // Whether all of it is at the job's quality.
   bool is_refined() const;
@@ -57,6 +62,11 @@ class Picture {
                                  const std::vector<std::string>& layers) const;
 
  private:
+  // Absorb; *stale is what the changed tiles can reach.
+  double TakeTiles(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
+                   std::vector<int64_t>* stale);
+  // Filters `tiles`, their rows' errors and the estimate from them.
+  double FilterTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality, int num_threads);
   // Each returns seconds of CPU.
   double Resolve(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
                  std::vector<int64_t>* resolved);

@@ -15,6 +15,8 @@ constexpr int64_t kIdleKeepMs = 60000;   // how long a picture that nobody looks
 // Of all pictures that nobody looks at: 16 Mpx of about 176 bytes are 2.8 GiB.
 constexpr int64_t kIdlePixelsMax = int64_t{1} << 24;
 constexpr int64_t kSleepMaxMs = 1000;
+// Of a slice, for each thread: four units of work, 40 to 80 ms.
+constexpr int64_t kSlicePixels = int64_t{1} << 16;
 
 int64_t MonotonicMs() {
   return std::chrono::duration_cast<std::chrono::milliseconds>(
@@ -42,6 +44,9 @@ void PictureService::Stop() {
     for (auto& [id, entry] : entries_) {
       std::ranges::move(entry.waiting, std::back_inserter(waiting));
       entry.waiting.clear();
+      if (entry.refinement == nullptr) continue;
+      std::ranges::move(entry.refinement->waiting, std::back_inserter(waiting));
+      entry.refinement.reset();
     }
   }
   for (const Done& done : waiting) done(nullptr);
@@ -71,11 +76,8 @@ void PictureService::Remove(JobId job) {
   std::lock_guard lock(mu_);
   const auto it = entries_.find(job);
   if (it == entries_.end()) return;
-  if (it->second.waiting.empty()) {
-    entries_.erase(it);
-  } else {
-    wake_.notify_all();
-  }
+  it->second.removed = true;
+  wake_.notify_all();
 }
 
 void PictureService::AddWatcher(JobId job) {
@@ -138,25 +140,26 @@ std::optional<int64_t> PictureService::DueMs(const Entry& entry) {
 }
 
 JobId PictureService::Choose(int64_t now_ms, int64_t* sleep_ms) const {
-  JobId urgent = 0, due = 0;
+  JobId preview = 0, slice = 0;
   // In turn, so that a job that is asked for all the time keeps no other from its end.
   const auto take_turn = [this](JobId id, const Entry& entry, JobId* first) {
     if (*first == 0 || entry.last_round < entries_.at(*first).last_round) *first = id;
   };
   for (const auto& [id, entry] : entries_) {
-    if (entry.refine || entry.finish || !entry.waiting.empty()) {
-      take_turn(id, entry, &urgent);
+    if (entry.WantsQuality() || entry.removed) {
+      take_turn(id, entry, &slice);
       continue;
     }
-    const std::optional<int64_t> due_ms = DueMs(entry);
+    const std::optional<int64_t> due_ms = entry.waiting.empty() ? DueMs(entry) : now_ms;
     if (!due_ms) continue;
     if (*due_ms <= now_ms) {
-      take_turn(id, entry, &due);
+      take_turn(id, entry, &preview);
     } else {
       *sleep_ms = std::min(*sleep_ms, *due_ms - now_ms);
     }
   }
-  return urgent != 0 ? urgent : due;
+  if (preview == 0 || slice == 0) return preview != 0 ? preview : slice;
+  return last_was_preview_ ? slice : preview;
 }
 
 void PictureService::Abandon(JobId job) {
@@ -166,6 +169,9 @@ void PictureService::Abandon(JobId job) {
     const auto it = entries_.find(job);
     if (it == entries_.end()) return;
     waiting = std::move(it->second.waiting);
+    if (it->second.refinement != nullptr) {
+      std::ranges::move(it->second.refinement->waiting, std::back_inserter(waiting));
+    }
     entries_.erase(it);
   }
   for (const Done& done : waiting) done(nullptr);
@@ -192,62 +198,91 @@ std::shared_ptr<Picture> PictureService::TakeChanges(JobId job, const PictureSou
   return fresh;
 }
 
-double PictureService::UpdatePicture(JobId job, const PictureSource::JobView& view, bool refine,
-                                     std::shared_ptr<Picture>* picture) {
-  std::vector<int64_t> changed;
-  *picture = TakeChanges(job, view, &changed);
-  if (changed.empty() && (!refine || (*picture)->is_refined())) return 0;
-  return (*picture)->Update(
-      changed, [&](int64_t tile) { return source_.fold_tile(*view.film, tile); },
-      refine ? DenoiseQuality::kFinal : DenoiseQuality::kPreview, num_threads_);
-}
-
 void PictureService::RunRound(JobId job) {
-  bool refine = false;
+  std::shared_ptr<Picture> refined;
+  bool refine = false, removed = false;
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
-    refine = std::exchange(entry.refine, false);
     entry.last_round = ++num_rounds_;
+    removed = entry.removed;
+    last_was_preview_ = !entry.WantsQuality();
+    if (entry.refinement != nullptr) refined = entry.picture;
+    if (refined == nullptr) refine = std::exchange(entry.refine, false);
   }
+  if (removed) return Abandon(job);
+  if (refined != nullptr) return RunSlice(job, refined);
   // The committed state is read before the changes are taken: the picture shows at least that.
   const std::unique_ptr<PictureSource::JobView> view = source_.view(job);
   if (view == nullptr) return Abandon(job);
-  std::vector<Done> waiting;
-  bool finish = false;
+  Refinement round{.view = *view, .begin_ms = MonotonicMs()};
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
-    waiting = std::exchange(entry.waiting, {});
-    finish = std::exchange(entry.finish, false);
+    round.waiting = std::exchange(entry.waiting, {});
+    round.finish = std::exchange(entry.finish, false);
     // What has been asked for since the round began leads to another one, as the view may be older;
     // if it is not, this round's answer counts and must have the job's quality.
-    refine |= !view->is_sampling || entry.refine || finish;
+    refine |= !view->is_sampling || entry.refine || round.finish;
     entry.wanted = false;
   }
-  const int64_t begin_ms = MonotonicMs();
-  std::shared_ptr<Picture> picture;
-  const double cpu_seconds = UpdatePicture(job, *view, refine, &picture);
+  std::vector<int64_t> changed;
+  const std::shared_ptr<Picture> picture = TakeChanges(job, *view, &changed);
+  const auto source = [&](int64_t tile) { return source_.fold_tile(*view->film, tile); };
+  if (!refine) {
+    if (!changed.empty()) {
+      round.cpu_seconds =
+          picture->Update(changed, source, DenoiseQuality::kPreview, num_threads_);
+    }
+    return EndRound(job, picture, std::move(round), false);
+  }
+  if (!changed.empty()) round.cpu_seconds = picture->Absorb(changed, source, num_threads_);
+  {
+    std::lock_guard lock(mu_);
+    entries_[job].refinement = std::make_unique<Refinement>(std::move(round));
+  }
+  RunSlice(job, picture);
+}
+
+void PictureService::RunSlice(JobId job, const std::shared_ptr<Picture>& picture) {
+  double cpu_seconds = 0;
+  if (!picture->is_refined()) {
+    cpu_seconds = picture->Refine(kSlicePixels * num_threads_, num_threads_);
+  }
+  Refinement round;
+  {
+    std::lock_guard lock(mu_);
+    Entry& entry = entries_[job];
+    entry.refinement->cpu_seconds += cpu_seconds;
+    if (!picture->is_refined()) return;
+    round = std::move(*entry.refinement);
+    entry.refinement.reset();
+  }
+  EndRound(job, picture, std::move(round), true);
+}
+
+void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture, Refinement round,
+                              bool is_refined) {
   const auto cores = std::max(1u, std::thread::hardware_concurrency());
-  const auto pause_ms = static_cast<int64_t>(1e3 * cpu_seconds / (kPreviewShare * cores));
+  const auto pause_ms = static_cast<int64_t>(1e3 * round.cpu_seconds / (kPreviewShare * cores));
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
     entry.used_ms = MonotonicMs();
-    entry.not_before_ms = begin_ms + std::max(kIntervalMinMs, pause_ms);
+    entry.not_before_ms = round.begin_ms + std::max(kIntervalMinMs, pause_ms);
     entry.refine_at_ms = entry.used_ms + kRefineAfterMs;
   }
-  if (cpu_seconds > 0 || refine) {
-    source_.on_picture({job, view->committed_spp, picture->estimated_error(), cpu_seconds});
+  if (round.cpu_seconds > 0 || is_refined) {
+    source_.on_picture({job, round.view.committed_spp, picture->estimated_error(),
+                        round.cpu_seconds});
   }
-  if (finish) source_.on_finished({job, view->film->Digest()});
-  for (const Done& done : waiting) done(picture);
+  if (round.finish) source_.on_finished({job, round.view.film->Digest()});
+  for (const Done& done : round.waiting) done(picture);
 }
 
 void PictureService::EvictIdle(int64_t now_ms) {
   const auto is_idle = [](const Entry& entry) {
-    return entry.watchers == 0 && entry.waiting.empty() && !entry.refine && !entry.finish &&
-           !entry.wanted;
+    return entry.watchers == 0 && entry.waiting.empty() && !entry.WantsQuality() && !entry.wanted;
   };
   std::erase_if(entries_, [&](const auto& item) {
     return is_idle(item.second) && now_ms - item.second.used_ms > kIdleKeepMs;

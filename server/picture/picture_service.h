@@ -68,29 +68,46 @@ class PictureService {
   void Stop();
 
  private:
+  // A picture on its way to the job's quality, slice by slice, and who waits for it.
+  struct Refinement {
+    PictureSource::JobView view;
+    std::vector<Done> waiting{};
+    bool finish = false;
+    int64_t begin_ms = 0;
+    double cpu_seconds = 0;
+  };
   struct Entry {
     std::shared_ptr<Picture> picture;  // null until somebody looks
+    std::unique_ptr<Refinement> refinement{};  // null: none under way
     std::set<int64_t> changed;         // tiles, since `picture` took them
     std::vector<Done> waiting;
     int watchers = 0;
     bool wanted = false;  // a fetch that did not wait would like it newer
     bool refine = false;  // somebody waits for the job's quality
     bool finish = false;
+    bool removed = false;  // the job is
     int64_t not_before_ms = 0;
     int64_t refine_at_ms = 0;  // unless more tiles change
     int64_t used_ms = 0;
-    int64_t last_round = 0;  // its number
+    int64_t last_round = 0;  // its number, or its last slice's
+
+    bool WantsQuality() const { return refinement != nullptr || refine || finish; }
   };
 
   void Run();
   // When the entry's next round is due for those who look on; nullopt: never.
   static std::optional<int64_t> DueMs(const Entry& entry);
-  // The job whose picture is most urgent; 0 = none, and then *sleep_ms is how long to sleep.
+  // The job whose picture has its turn; 0 = none, and then *sleep_ms is how long to sleep.
+  // Previews and slices of refinements alternate while there are both, so that neither waits for
+  // more than one of the other; within each kind, jobs take turns.
   JobId Choose(int64_t now_ms, int64_t* sleep_ms) const;
+  // A preview, or the first slice of a refinement.
   void RunRound(JobId job);
-  // Brings the picture up to date; returns seconds of CPU.
-  double UpdatePicture(JobId job, const PictureSource::JobView& view, bool refine,
-                       std::shared_ptr<Picture>* picture);
+  // The next slice of the job's refinement, and what follows from its last one.
+  void RunSlice(JobId job, const std::shared_ptr<Picture>& picture);
+  // Ends a round: when the next may begin, what was found, and who waited for it.
+  void EndRound(JobId job, const std::shared_ptr<Picture>& picture, Refinement round,
+                bool is_refined);
   void Abandon(JobId job);
   // Creates the picture if need be and moves what has changed since the last round to *changed.
   std::shared_ptr<Picture> TakeChanges(JobId job, const PictureSource::JobView& view,
@@ -103,6 +120,7 @@ class PictureService {
   std::condition_variable wake_;
   std::map<JobId, Entry> entries_;
   int64_t num_rounds_ = 0;
+  bool last_was_preview_ = false;
   bool stopping_ = false;
   std::thread thread_;
 };

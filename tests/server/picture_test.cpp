@@ -115,6 +115,27 @@ TEST(Picture, RefinedDoesNotDependOnPreviews) {
   }
 }
 
+TEST(Picture, RefinedInSlicesIsTheSame) {
+  for (const std::string& denoiser : DenoiserNames()) {
+    SCOPED_TRACE(denoiser);
+    const v1::JobSettings settings = Settings(denoiser);
+    const TileGrid grid(RegionOf(settings), settings.tile_size());
+    const Film two = SyntheticFilm(1, grid, 2), eight = SyntheticFilm(1, grid, 8);
+    Picture sliced(settings), fresh(settings);
+    sliced.Absorb(AllTiles(grid), From(two), 1);
+    sliced.Refine(500, 2);
+    EXPECT_EQ(sliced.version(), 0u) << "it is not whole yet";
+    // Newer samples come while it is being refined.
+    sliced.Absorb(AllTiles(grid), From(eight), 2);
+    int slices = 0;
+    for (; !sliced.is_refined(); ++slices) sliced.Refine(500, 1 + slices % 2);
+    EXPECT_GE(slices, 61 * 45 / 500 / 2);
+    EXPECT_EQ(sliced.version(), 1u);
+    fresh.Update(AllTiles(grid), From(eight), DenoiseQuality::kFinal, 1);
+    ExpectSame(sliced, fresh, grid.region());
+  }
+}
+
 TEST(Picture, PreviewOfAJobOfPreviewQualityIsRefined) {
   v1::JobSettings settings = Settings("bilateral");
   const TileGrid grid(RegionOf(settings), settings.tile_size());
@@ -214,6 +235,48 @@ std::shared_ptr<const Picture> FetchNow(PictureService& service, bool wait) {
   service.Fetch(1, wait,
                 [&](std::shared_ptr<const Picture> picture) { promise.set_value(picture); });
   return promise.get_future().get();
+}
+
+// While the first tile of job 1's refinement, which takes many slices, is folded, somebody asks for
+// the first preview of job 2.
+TEST(PictureService, APreviewWaitsForASliceOnly) {
+  v1::JobSettings large = Settings("none");
+  large.set_width(512);
+  large.set_height(512);
+  large.set_tile_size(64);
+  OneJob refined(large), seen(Settings("none"));
+  std::mutex mu;
+  std::vector<JobId> order;
+  std::promise<void> finished;
+  std::function<void()> on_first_fold;
+  std::once_flag first_fold;
+  const auto ended = [&](JobId job) {
+    std::lock_guard lock(mu);
+    order.push_back(job);
+  };
+  PictureSource source = refined.Source();
+  source.view = [&](JobId job) {
+    const OneJob& of = job == 1 ? refined : seen;
+    return std::make_unique<PictureSource::JobView>(
+        PictureSource::JobView{of.settings, 0, true, of.film});
+  };
+  source.fold_tile = [&](const Film& film, int64_t tile) {
+    if (&film == refined.film.get()) std::call_once(first_fold, on_first_fold);
+    return film.Fold(tile);
+  };
+  source.on_finished = [&](const JobFinishedEvent& event) {
+    ended(event.job);
+    finished.set_value();
+  };
+  refined.film = std::make_shared<const Film>(
+      SyntheticFilm(1, TileGrid(RegionOf(large), large.tile_size()), 1));
+  PictureService service(std::move(source), 1);
+  on_first_fold = [&] {
+    service.Fetch(2, false, [&](std::shared_ptr<const Picture>) { ended(2); });
+  };
+  service.Finish(1);
+  finished.get_future().wait();
+  EXPECT_EQ(order, (std::vector<JobId>{2, 1}));
 }
 
 TEST(PictureService, LastPictureIsTheJobsAfterPreviews) {
