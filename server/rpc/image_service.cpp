@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <bit>
 
+#include "absl/strings/str_cat.h"
 #include "core/film/delta_codec.h"
 #include "core/image/layers.h"
 #include "server/coordinator/job_settings.h"
@@ -16,11 +17,13 @@ static_assert(std::endian::native == std::endian::little, "planes travel little-
 
 class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
  public:
-  explicit ImageReactor(const v1::GetImageRequest& request) : request_(request) {
+  ImageReactor(const v1::GetImageRequest& request, StreamBudget* budget)
+      : request_(request), budget_(budget) {
     if (request_.layers().empty()) request_.add_layers("final");
   }
 
   void Start(CoordinatorHost& host, PictureService& pictures) {
+    if (absl::Status status = budget_->Begin(&share_); !status.ok()) return Finish(ToGrpc(status));
     const absl::StatusOr<JobId> id = ParseJobName(request_.job());
     if (!id.ok()) return Finish(ToGrpc(id.status()));
     if (request_.layers_size() > static_cast<int>(PictureLayers().size())) {
@@ -44,10 +47,23 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
         host.Read([&](const Coordinator& c) { return c.GetJob(id); });
     if (!job.ok()) return Finish(ToGrpc(job.status()));
     if (picture == nullptr) {
-      return Finish(ToGrpc(absl::UnavailableError("the server is stopping: try again later")));
+      return Finish(ToGrpc(absl::UnavailableError(absl::StrCat(
+          "no picture of ", job->name(), ": the server is stopping (try again later), or the job's "
+          "film on its disk is damaged (see its log)"))));
     }
     const PixelRect region =
         request_.has_region() ? RectOf(request_.region()) : RegionOf(job->settings());
+    int64_t channels = 0;
+    for (const std::string& name : request_.layers()) {
+      const PictureLayer* const layer = FindPictureLayer(name);
+      channels += layer == nullptr ? 0 : std::ssize(layer->channels);
+    }
+    const PixelRect pixels = region.Intersect(picture->region());
+    const int64_t bytes =
+        pixels.empty() ? 0 : pixels.area() * channels * int64_t{sizeof(float)};
+    if (absl::Status status = budget_->Take(bytes, &share_); !status.ok()) {
+      return Finish(ToGrpc(status));
+    }
     absl::StatusOr<Image> image =
         picture->Snapshot(region, {request_.layers().begin(), request_.layers().end()});
     if (!image.ok()) return Finish(ToGrpc(image.status()));
@@ -93,6 +109,8 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
   }
 
   v1::GetImageRequest request_;
+  StreamBudget* const budget_;
+  StreamBudget::Share share_;
   v1::GetImageResponse response_;
   Image image_;
   size_t channel_ = 0;  // of image_, being sent
@@ -101,21 +119,31 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
 
 class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
  public:
-  FilmReactor(CoordinatorHost* host, const ImageService::FilmSource& film_of,
-              const std::string& job)
-      : host_(host) {
-    const absl::StatusOr<JobId> id = ParseJobName(job);
-    if (id.ok()) film_ = film_of(*id);
-    if (film_ != nullptr) {
-      WriteNext();
-    } else {
-      Finish(ToGrpc(id.ok() ? absl::NotFoundError(job + " does not exist") : id.status()));
-    }
+  FilmReactor(CoordinatorHost* host, StreamBudget* budget) : host_(host), budget_(budget) {}
+
+  void Start(const ImageService::FilmSource& film_of, const std::string& job) {
+    const absl::Status status = Open(film_of, job);
+    status.ok() ? WriteNext() : Finish(ToGrpc(status));
   }
   void OnWriteDone(bool ok) override { ok ? WriteNext() : Finish(grpc::Status::CANCELLED); }
   void OnDone() override { delete this; }
 
  private:
+  absl::Status Open(const ImageService::FilmSource& film_of, const std::string& job) {
+    const absl::StatusOr<JobId> id = ParseJobName(job);
+    if (!id.ok()) return id.status();
+    const absl::StatusOr<v1::Job> record =
+        host_->Read([&](const Coordinator& c) { return c.GetJob(*id); });
+    if (!record.ok()) return record.status();
+    // Before it is read from disk.
+    const int64_t bytes = RegionOf(record->settings()).area() * kFilmBytesPerPixel;
+    if (absl::Status status = budget_->Begin(&share_); !status.ok()) return status;
+    if (absl::Status status = budget_->Take(bytes, &share_); !status.ok()) return status;
+    absl::StatusOr<std::shared_ptr<const Film>> film = film_of(*id);
+    if (!film.ok()) return film.status();
+    film_ = *std::move(film);
+    return absl::OkStatus();
+  }
   void WriteNext() {
     // One tile's nodes at a time: each tile is a consistent set of samples, and so is their union.
     while (node_ == nodes_.size() && tile_ < film_->grid().num_tiles()) {
@@ -137,6 +165,8 @@ class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
   }
 
   CoordinatorHost* const host_;
+  StreamBudget* const budget_;
+  StreamBudget::Share share_;
   std::shared_ptr<const Film> film_;
   std::vector<TileStatistics> nodes_;  // of tile_ - 1
   size_t node_ = 0;
@@ -148,14 +178,16 @@ class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
 
 grpc::ServerWriteReactor<v1::GetImageResponse>* ImageService::GetImage(
     grpc::CallbackServerContext*, const v1::GetImageRequest* request) {
-  auto* const reactor = new ImageReactor(*request);
+  auto* const reactor = new ImageReactor(*request, &image_budget_);
   reactor->Start(host_, pictures_);
   return reactor;
 }
 
 grpc::ServerWriteReactor<v1::GetFilmResponse>* ImageService::GetFilm(
     grpc::CallbackServerContext*, const v1::GetFilmRequest* request) {
-  return new FilmReactor(&host_, film_of_, request->job());
+  auto* const reactor = new FilmReactor(&host_, &film_budget_);
+  reactor->Start(film_of_, request->job());
+  return reactor;
 }
 
 }  // namespace tessera

@@ -1,16 +1,18 @@
 // tessera.v1.ImageService over pictures and films.
 #pragma once
 
+#include "server/coordinator/limits.h"
 #include "server/coordinator_host.h"
 #include "server/picture/picture_service.h"
+#include "server/rpc/stream_budget.h"
 #include "tessera/v1/image.grpc.pb.h"
 
 namespace tessera {
 
 class ImageService final : public v1::ImageService::CallbackService {
  public:
-  // The film of a job, from memory or disk; null if the job does not exist.
-  using FilmSource = std::function<std::shared_ptr<const Film>(JobId)>;
+  // The film of a job, from memory or disk. Errors: NOT_FOUND, DATA_LOSS.
+  using FilmSource = std::function<absl::StatusOr<std::shared_ptr<const Film>>(JobId)>;
   // References must outlive the service.
   ImageService(CoordinatorHost& host, PictureService& pictures, FilmSource film_of)
       : host_(host), pictures_(pictures), film_of_(std::move(film_of)) {}
@@ -24,6 +26,8 @@ class ImageService final : public v1::ImageService::CallbackService {
   CoordinatorHost& host_;
   PictureService& pictures_;
   const FilmSource film_of_;
+  StreamBudget image_budget_{"pictures", kImageStreamsMax, kImageStreamBytesMax};
+  StreamBudget film_budget_{"films", kFilmStreamsMax, kFilmStreamBytesMax};
 };
 
 }  // namespace tessera

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "absl/strings/str_cat.h"
 #include "server/coordinator/coordinator.h"
 #include "server/coordinator_host.h"
 #include "server/rpc/rpc_status.h"
@@ -104,18 +105,23 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
   bool finished_ = false;
 };
 
-WatchHub::WatchHub(WatchCallbacks callbacks) : callbacks_(std::move(callbacks)) {}
+WatchHub::WatchHub(WatchCallbacks callbacks, int watches_max)
+    : callbacks_(std::move(callbacks)), watches_max_(watches_max) {}
 
 grpc::ServerWriteReactor<v1::Job>* WatchHub::Watch(JobId job, const v1::WatchJobRequest& request) {
   auto* const reactor = new WatchReactor(this, job, request);
   callbacks_.added(job);
-  bool closed = false;
+  grpc::Status status;
   {
     std::lock_guard lock(mu_);
     reactors_[job].insert(reactor);
-    closed = closed_;
+    if (num_watches_++ >= watches_max_) {
+      status = ToGrpc(absl::ResourceExhaustedError(absl::StrCat(
+          watches_max_, " watches are open already: end some, or ask with GetJob now and then")));
+    }
+    if (closed_) status = grpc::Status(grpc::UNAVAILABLE, "the server is stopping");
   }
-  if (closed) reactor->End(grpc::Status(grpc::UNAVAILABLE, "the server is stopping"));
+  if (!status.ok()) reactor->End(status);
   return reactor;
 }
 
@@ -154,6 +160,7 @@ void WatchHub::Close() {
 void WatchHub::Remove(WatchReactor* reactor, JobId job) {
   {
     std::lock_guard lock(mu_);
+    --num_watches_;
     const auto it = reactors_.find(job);
     it->second.erase(reactor);
     if (it->second.empty()) reactors_.erase(it);

@@ -11,6 +11,7 @@
 #include <grpcpp/support/server_callback.h>
 
 #include "server/coordinator/event.h"
+#include "server/coordinator/limits.h"
 #include "tessera/v1/job.pb.h"
 
 namespace tessera {
@@ -27,7 +28,8 @@ struct WatchCallbacks {
 // Threads: all methods from any thread.
 class WatchHub {
  public:
-  explicit WatchHub(WatchCallbacks callbacks);
+  // watches_max: further ones end with RESOURCE_EXHAUSTED.
+  explicit WatchHub(WatchCallbacks callbacks, int watches_max = kWatchesMax);
 
   // The reactor of a new watch stream. It deletes itself.
   grpc::ServerWriteReactor<v1::Job>* Watch(JobId job, const v1::WatchJobRequest& request);
@@ -43,10 +45,12 @@ class WatchHub {
   void Remove(WatchReactor* reactor, JobId job);
 
   const WatchCallbacks callbacks_;
+  const int watches_max_;
   // Pump and Watch hold mu_, then a reactor's, then the coordinator's; Notify, which is called
   // under the coordinator's lock, takes changed_mu_ alone.
-  std::mutex mu_;  // guards reactors_, closed_
+  std::mutex mu_;  // guards reactors_, num_watches_, closed_
   std::map<JobId, std::set<WatchReactor*>> reactors_;
+  int num_watches_ = 0;
   bool closed_ = false;
   std::mutex changed_mu_;  // guards changed_
   std::set<JobId> changed_;
