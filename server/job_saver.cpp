@@ -1,7 +1,22 @@
 #include "server/job_saver.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
 #include "server/log.h"
 
 namespace tessera {
+namespace {
+
+constexpr std::chrono::seconds kRetryAfter{5};
+
+bool HasEnded(const v1::Job& job) {
+  return job.state() == v1::JOB_STATE_DONE || job.state() == v1::JOB_STATE_CANCELLED ||
+         job.state() == v1::JOB_STATE_FAILED;
+}
+
+}  // namespace
 
 JobSaver::JobSaver(Catalogue* catalogue, FilmStore* films, AssetStore* assets)
     : catalogue_(catalogue), films_(films), assets_(assets) {}
@@ -22,12 +37,29 @@ void JobSaver::Save(JobId job, bool with_film) {
 
 void JobSaver::Remove(JobId job) {
   std::lock_guard lock(mu_);
-  pending_[job].remove = true;
+  pending_[job] = {.remove = true};
   wake_.notify_all();
 }
 
 absl::Status JobSaver::SaveNow(JobId job) {
-  return catalogue_ == nullptr ? absl::OkStatus() : WriteRecord(job);
+  if (catalogue_ == nullptr) return absl::OkStatus();
+  absl::StatusOr<Snapshot> snapshot = Read(job);
+  if (!snapshot.ok()) return absl::OkStatus();
+  if (HasEnded(snapshot->record) && snapshot->record.progress().samples() > 0) {
+    // Its end is for the thread to write, after the film. A job that is not known at all yet (one
+    // that began with a whole film) is written as one that is about to end.
+    const absl::StatusOr<bool> is_known = catalogue_->Has(job);
+    if (!is_known.ok()) return is_known.status();
+    if (*is_known) return absl::OkStatus();
+    snapshot->record.set_state(v1::JOB_STATE_FINISHING);
+    snapshot->record.clear_end_time();
+    snapshot->record.clear_digest();
+  }
+  return WriteRecord(job, *snapshot);
+}
+
+absl::Status JobSaver::RemoveNow(JobId job) {
+  return catalogue_ == nullptr ? absl::OkStatus() : RemoveRow(job);
 }
 
 void JobSaver::Stop() {
@@ -38,65 +70,106 @@ void JobSaver::Stop() {
   wake_.notify_all();
   if (!thread_.joinable()) return;
   thread_.join();
-  if (films_ == nullptr) return;
+  if (catalogue_ == nullptr) return;
   const auto jobs = host_->Read([](const Coordinator& c) { return c.ListJobs(0, SIZE_MAX); });
   for (const v1::Job& job : jobs) {
-    if (job.state() == v1::JOB_STATE_RUNNING) Write(*ParseJobName(job.name()), {.film = true});
+    if (HasEnded(job) || job.progress().samples() == 0) continue;
+    Write(*ParseJobName(job.name()), {.film = job.state() == v1::JOB_STATE_RUNNING});
+  }
+}
+
+bool JobSaver::Next(JobId* job, Request* request) {
+  std::unique_lock lock(mu_);
+  while (true) {
+    const auto next = std::ranges::min_element(
+        pending_, {}, [](const auto& item) { return item.second.not_before; });
+    if (next == pending_.end()) {
+      if (stopping_) return false;
+      wake_.wait(lock);
+    } else if (stopping_ || next->second.not_before <= Clock::now()) {
+      *job = next->first;
+      *request = next->second;
+      pending_.erase(next);
+      return true;
+    } else {
+      wake_.wait_until(lock, Clock::time_point(next->second.not_before));
+    }
   }
 }
 
 void JobSaver::Run() {
-  std::unique_lock lock(mu_);
-  while (true) {
-    wake_.wait(lock, [&] { return stopping_ || !pending_.empty(); });
-    if (pending_.empty()) return;
-    const auto [job, request] = *pending_.begin();
-    pending_.erase(pending_.begin());
-    lock.unlock();
-    Write(job, request);
-    lock.lock();
-  }
+  JobId job = 0;
+  Request request;
+  while (Next(&job, &request)) Write(job, request);
 }
 
-absl::Status JobSaver::WriteRecord(JobId job) {
+absl::StatusOr<JobSaver::Snapshot> JobSaver::Read(JobId job) const {
+  Snapshot snapshot;
+  const absl::Status status = host_->Read([&](const Coordinator& c) -> absl::Status {
+    absl::StatusOr<v1::Job> record = c.GetJob(job);
+    if (!record.ok()) return record.status();
+    snapshot.record = *std::move(record);
+    snapshot.request_id = c.RequestIdOf(job);
+    snapshot.film = c.FilmOf(job);
+    snapshot.samples = snapshot.film == nullptr ? 0 : snapshot.film->samples();
+    return absl::OkStatus();
+  });
+  if (!status.ok()) return status;
+  return snapshot;
+}
+
+absl::Status JobSaver::WriteRecord(JobId job, const Snapshot& snapshot) {
   std::lock_guard lock(record_mu_);
-  CatalogueRow row{.job = job, .request_id = "", .record = ""};
-  const absl::StatusOr<v1::Job> record = host_->Read([&](const Coordinator& c) {
-    row.request_id = c.RequestIdOf(job);
-    return c.GetJob(job);
-  });
-  if (!record.ok()) return absl::OkStatus();
-  row.record = record->SerializeAsString();
-  return catalogue_->Put(row);
+  const bool exists = host_->Read([&](const Coordinator& c) { return c.GetJob(job).ok(); });
+  const uint64_t counter = snapshot.record.revision().counter();
+  const auto last = recorded_.find(job);
+  if (!exists || (last != recorded_.end() && last->second > counter)) return absl::OkStatus();
+  absl::Status status =
+      catalogue_->Put({job, snapshot.request_id, snapshot.record.SerializeAsString()});
+  if (status.ok()) recorded_[job] = counter;
+  return status;
 }
 
-void JobSaver::Write(JobId job, const Request& request) {
-  if (request.remove) {
-    assets_->Release(job);
-    if (catalogue_ == nullptr) return;
-    films_->Remove(job);
-    std::lock_guard lock(record_mu_);
-    if (absl::Status status = catalogue_->Remove(job); !status.ok()) {
-      ServerLog().error("job={} {}", job, status.ToString());
-    }
-    return;
-  }
-  // The film first: a record that says DONE has a film.
-  absl::Status status;
-  int64_t samples = 0;
-  const auto film = host_->Read([&](const Coordinator& c) {
-    auto of_job = c.FilmOf(job);
-    samples = of_job ? of_job->samples() : 0;
-    return of_job;
-  });
-  if (film != nullptr && request.film) {
-    status = films_->Save(job, film->grid().num_tiles(), [&](int64_t tile) {
-      return host_->Read([&](const Coordinator&) { return film->Nodes(tile); });
+absl::Status JobSaver::RemoveRow(JobId job) {
+  std::lock_guard lock(record_mu_);
+  recorded_.erase(job);
+  return catalogue_->Remove(job);
+}
+
+absl::Status JobSaver::WriteFilm(JobId job, const Film& film) {
+  return films_->Save(job, film.grid().num_tiles(), [&](int64_t tile) {
+    return host_->Read([&](const Coordinator& c) {
+      return FilmStore::Tile{film.Nodes(tile), c.CostOf(job, tile)};
     });
+  });
+}
+
+void JobSaver::Write(JobId job, Request request) {
+  absl::Status status;
+  if (request.remove) {
+    // The row first: a row without its film would be a job that has lost its samples.
+    if (catalogue_ != nullptr) status = RemoveRow(job);
+    if (status.ok() && films_ != nullptr) films_->Remove(job);
+    if (status.ok()) assets_->Release(job);
+  } else {
+    const absl::StatusOr<Snapshot> snapshot = Read(job);
+    if (!snapshot.ok()) return;
+    // The film first, and the record as it was before that: see the class.
+    const bool with_film = request.film && snapshot->film != nullptr;
+    if (with_film) status = WriteFilm(job, *snapshot->film);
+    if (status.ok()) status = WriteRecord(job, *snapshot);
+    if (status.ok() && with_film) host_->Post(FilmStoredEvent{job, snapshot->samples});
   }
-  if (status.ok()) status = WriteRecord(job);
-  if (status.ok() && film != nullptr && request.film) host_->Post(FilmStoredEvent{job, samples});
-  if (!status.ok()) ServerLog().error("job={} is not saved: {}", job, status.ToString());
+  if (status.ok()) return;
+  std::lock_guard lock(mu_);
+  ServerLog().error("job={} is not saved{}: {}", job,
+                    stopping_ ? "" : ", which is tried again in 5 s",
+                    std::string(status.message()));
+  if (stopping_) return;
+  Request& again = pending_[job];
+  again.film |= request.film;
+  again.remove |= request.remove;
+  again.not_before = Clock::now() + kRetryAfter;
 }
 
 }  // namespace tessera

@@ -44,7 +44,7 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
   app.add_option("--listen", service.listen, "HOST:PORT for clients and workers; port 0 = any")
       ->capture_default_str();
   app.add_option("--http", service.http_listen,
-                 "HOST:PORT for pictures over HTTP; port 0 = any, empty = none")
+                 "HOST:PORT for pictures over HTTP; port 0 = any, off = none")
       ->capture_default_str();
   app.add_option("--data-dir", service.data_dir,
                  "Folder of jobs, films and assets; without it they live in memory");

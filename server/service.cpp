@@ -17,6 +17,7 @@
 #include "server/job_saver.h"
 #include "server/log.h"
 #include "server/picture/picture_service.h"
+#include "server/restore.h"
 #include "server/rpc/asset_service.h"
 #include "server/rpc/image_service.h"
 #include "server/rpc/job_service.h"
@@ -34,6 +35,7 @@ constexpr int kPingIntervalMinMs = 5000;
 constexpr int kKeepaliveMs = 20000;
 constexpr int kKeepaliveTimeoutMs = 10000;
 constexpr std::chrono::milliseconds kShutdownGrace{1000};
+constexpr char kHttpOff[] = "off";
 
 bool IsLoopback(const std::string& address) {
   return absl::StartsWith(address, "127.") || absl::StartsWith(address, "localhost:") ||
@@ -42,7 +44,7 @@ bool IsLoopback(const std::string& address) {
 
 absl::Status CheckOptions(const ServiceOptions& options) {
   for (const std::string& address : {options.listen, options.http_listen}) {
-    if (!address.empty() && !IsLoopback(address) && !options.insecure) {
+    if (!address.empty() && address != kHttpOff && !IsLoopback(address) && !options.insecure) {
       return absl::InvalidArgumentError(absl::StrCat(
           "plaintext on ", address, " could be read by anyone: listen on 127.0.0.1, or say "
           "--insecure if the network is yours"));
@@ -65,11 +67,6 @@ absl::Status CheckOptions(const ServiceOptions& options) {
   return absl::OkStatus();
 }
 
-bool HasEnded(v1::JobState state) {
-  return state == v1::JOB_STATE_DONE || state == v1::JOB_STATE_CANCELLED ||
-         state == v1::JOB_STATE_FAILED;
-}
-
 int64_t HalfOfMemory() {
   return int64_t{sysconf(_SC_PHYS_PAGES)} * sysconf(_SC_PAGESIZE) / 2;
 }
@@ -88,11 +85,10 @@ class Service::Impl : public EffectSink {
 
  private:
   absl::Status OpenStore(const ServiceOptions& options);
-  absl::Status Restore();
   void MakeServices(const ServiceOptions& options);
   absl::Status Listen(const ServiceOptions& options);
-  // The job's film, from memory or disk; null if the job does not exist.
-  std::shared_ptr<const Film> FilmOf(JobId job);
+  // The job's film, from memory or disk. Errors: NOT_FOUND (the job), DATA_LOSS.
+  absl::StatusOr<std::shared_ptr<const Film>> FilmOf(JobId job);
   PictureSource MakePictureSource();
 
   void On(const SendEffect& e) { sessions_->Send(e.session, e.message); }
@@ -160,23 +156,22 @@ absl::Status Service::Impl::OpenStore(const ServiceOptions& options) {
   return absl::OkStatus();
 }
 
-std::shared_ptr<const Film> Service::Impl::FilmOf(JobId job) {
+absl::StatusOr<std::shared_ptr<const Film>> Service::Impl::FilmOf(JobId job) {
   std::shared_ptr<const Film> film;
-  TileGrid grid;
-  const bool exists = host_->Read([&](const Coordinator& c) {
-    const absl::StatusOr<v1::Job> record = c.GetJob(job);
-    if (!record.ok()) return false;
-    grid = TileGrid(RegionOf(record->settings()), record->settings().tile_size());
+  const absl::StatusOr<v1::Job> record = host_->Read([&](const Coordinator& c) {
     film = c.FilmOf(job);
-    return true;
+    return c.GetJob(job);
   });
-  if (!exists || film != nullptr) return film;
-  auto loaded = films_->Load(job, grid);
-  if (loaded.ok()) return *std::move(loaded);
-  if (!absl::IsNotFound(loaded.status())) {
-    ServerLog().error("job={} {}", job, loaded.status().ToString());
-  }
-  return std::make_shared<const Film>(grid);
+  if (!record.ok()) return record.status();
+  if (film != nullptr) return film;
+  const TileGrid grid(RegionOf(record->settings()), record->settings().tile_size());
+  if (record->progress().samples() == 0) return std::make_shared<const Film>(grid);
+  absl::StatusOr<StoredFilm> stored = films_->Load(job, grid);
+  if (stored.ok()) return std::move(stored->film);
+  ServerLog().error("job={} {}", job, std::string(stored.status().message()));
+  return absl::DataLossError(
+      absl::StrCat("the film of ", JobName(job), " on the server's disk is damaged or missing: its "
+                   "samples are lost, submit it anew"));
 }
 
 PictureSource Service::Impl::MakePictureSource() {
@@ -191,7 +186,9 @@ PictureSource Service::Impl::MakePictureSource() {
       view = {record->settings(), record->progress().committed_spp(), is_sampling, c.FilmOf(job)};
       return true;
     });
-    if (exists && view.film == nullptr) view.film = FilmOf(job);
+    if (exists && view.film == nullptr) {
+      if (auto film = FilmOf(job); film.ok()) view.film = *std::move(film);
+    }
     if (view.film == nullptr) return nullptr;
     return std::make_unique<PictureSource::JobView>(std::move(view));
   };
@@ -233,7 +230,8 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
       MakePictureSource(), options.filter_threads > 0 ? options.filter_threads : cores);
   job_service_ =
       std::make_unique<JobService>(*host_, *assets_, *watchers_, config_.defaults,
-                                   [this](JobId job) { return saver_->SaveNow(job); });
+                                   JobKeeper{[this](JobId job) { return saver_->SaveNow(job); },
+                                             [this](JobId job) { return saver_->RemoveNow(job); }});
   asset_service_ = std::make_unique<AssetService>(*assets_);
   image_service_ = std::make_unique<ImageService>(
       *host_, *pictures_, [this](JobId job) { return FilmOf(job); });
@@ -241,37 +239,12 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   saver_->Start(host_.get());
 }
 
-absl::Status Service::Impl::Restore() {
-  if (catalogue_ == nullptr) return absl::OkStatus();
-  absl::StatusOr<std::vector<CatalogueRow>> rows = catalogue_->ReadAll();
-  if (!rows.ok()) return rows.status();
-  for (CatalogueRow& row : *rows) {
-    RestoreJobEvent event{.job = {}, .request_id = row.request_id, .film = nullptr};
-    if (!event.job.ParseFromString(row.record)) {
-      ServerLog().error("job={} its record is damaged: left out", row.job);
-      continue;
-    }
-    const v1::JobSettings& settings = event.job.settings();
-    if (!HasEnded(event.job.state())) {
-      auto film = films_->Load(row.job, TileGrid(RegionOf(settings), settings.tile_size()));
-      if (film.ok()) event.film = *std::move(film);
-    }
-    std::vector<Sha256Digest> digests;
-    for (const v1::AssetRef& asset : settings.assets()) {
-      digests.push_back(*Sha256FromBytes(asset.sha256()));
-    }
-    absl::Status status = assets_->Reference(row.job, digests);
-    if (status.ok()) status = host_->Post(std::move(event)).status;
-    if (!status.ok()) ServerLog().error("job={} is left out: {}", row.job, status.ToString());
-  }
-  return absl::OkStatus();
-}
-
 absl::Status Service::Impl::Listen(const ServiceOptions& options) {
   grpc::EnableDefaultHealthCheckService(true);
   grpc::ServerBuilder builder;
   builder.SetMaxReceiveMessageSize(kMessageBytesMax);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS, kStreamsOfConnectionMax);
   builder.AddChannelArgument(GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS,
                              kPingIntervalMinMs);
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
@@ -290,7 +263,7 @@ absl::Status Service::Impl::Listen(const ServiceOptions& options) {
         "cannot listen on ", options.listen, ": the address is in use or not this machine's; "
         "choose another --listen"));
   }
-  if (options.http_listen.empty()) return absl::OkStatus();
+  if (options.http_listen.empty() || options.http_listen == kHttpOff) return absl::OkStatus();
   absl::StatusOr<std::unique_ptr<HttpServer>> http =
       HttpServer::Start(options.http_listen, *host_, *pictures_);
   if (!http.ok()) return http.status();
@@ -302,13 +275,19 @@ absl::Status Service::Impl::Start(const ServiceOptions& options) {
   if (absl::Status status = CheckOptions(options); !status.ok()) return status;
   if (absl::Status status = OpenStore(options); !status.ok()) return status;
   MakeServices(options);
-  if (absl::Status status = Restore(); !status.ok()) return status;
+  if (catalogue_ != nullptr) {
+    const absl::Status status =
+        RestoreJobs(*catalogue_, *films_, *assets_, config_.defaults, *host_);
+    if (!status.ok()) return status;
+  }
   if (absl::Status status = Listen(options); !status.ok()) return status;
   pump_ = std::thread([this] {
     for (int i = 0; !stopping_; ++i) {
       std::this_thread::sleep_for(kPumpInterval);
       watchers_->Pump();
-      if (i % kPumpsPerTick == 0) host_->Post(TickEvent{});
+      if (i % kPumpsPerTick != 0) continue;
+      sessions_->Pump(Now().monotonic_ms);
+      host_->Post(TickEvent{});
     }
   });
   return absl::OkStatus();

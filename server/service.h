@@ -15,7 +15,7 @@ namespace tessera {
 
 struct ServiceOptions {
   std::string listen;              // "127.0.0.1:0"; empty = in-process only
-  std::string http_listen;         // empty = none
+  std::string http_listen;         // empty or "off" = none
   std::string data_dir;            // empty = assets and films in memory
   int64_t data_bytes_max = int64_t{64} << 30;  // quota of assets and films; 0 = unlimited
   int filter_threads = 0;          // 0 = all

@@ -63,9 +63,12 @@ absl::StatusOr<v1::Job> Coordinator::GetJob(JobId id) const {
   return record;
 }
 
-std::vector<v1::Job> Coordinator::ListJobs(JobId after, size_t limit) const {
+std::vector<v1::Job> Coordinator::ListJobs(JobId after, size_t limit, size_t bytes_max) const {
   std::vector<v1::Job> jobs;
+  size_t bytes = 0;
   for (auto it = jobs_.upper_bound(after); it != jobs_.end() && jobs.size() < limit; ++it) {
+    bytes += it->second->record.ByteSizeLong();
+    if (bytes > bytes_max && !jobs.empty()) break;
     jobs.push_back(*GetJob(it->first));
   }
   return jobs;
@@ -101,6 +104,12 @@ std::shared_ptr<const Film> Coordinator::FilmOf(JobId id) const {
     return nullptr;
   }
   return it->second->film;
+}
+
+TileCost Coordinator::CostOf(JobId id, int64_t tile) const {
+  const auto it = jobs_.find(id);
+  if (it == jobs_.end() || it->second->costs.empty()) return {};
+  return it->second->costs.at(static_cast<size_t>(tile));
 }
 
 JobId Coordinator::JobOfRequest(const std::string& request_id) const {

@@ -50,13 +50,16 @@ class Coordinator {
 
   // Errors: NOT_FOUND.
   absl::StatusOr<v1::Job> GetJob(JobId job) const;
-  // Jobs with an id above `after`, ascending, at most `limit`.
-  std::vector<v1::Job> ListJobs(JobId after, size_t limit) const;
+  // Jobs with an id above `after`, ascending: at most `limit`, and bytes_max of their messages, but
+  // one if there is any.
+  std::vector<v1::Job> ListJobs(JobId after, size_t limit, size_t bytes_max = SIZE_MAX) const;
   std::vector<v1::Worker> ListWorkers(Instant now) const;
 
   // The job's film; null if the job does not exist, or has ended and its film is on disk only. Read
   // it only where Step cannot run, or after FinishJobEffect.
   std::shared_ptr<const Film> FilmOf(JobId job) const;
+  // What the samples of a tile of that film have cost; nothing if the job does not exist.
+  TileCost CostOf(JobId job, int64_t tile) const;
   // The job that a creation with this request_id made; 0 if none did, or it was deleted since.
   JobId JobOfRequest(const std::string& request_id) const;
   // The request_id that created the job; empty if there was none.
@@ -107,6 +110,7 @@ class Coordinator {
   void SetState(Job& job, v1::JobState state);
   void StartQueue(Job& job);
   void Finish(Job& job, v1::StopReason reason);
+  void GoOn(Job& job);  // after a restart
   void Fail(Job& job, const std::string& error);
   void StopWork(Job& job);
   void Touch(Job& job);

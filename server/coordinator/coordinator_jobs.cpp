@@ -23,6 +23,14 @@ void SetTime(int64_t unix_ms, google::protobuf::Timestamp* out) {
   out->set_nanos(static_cast<int>(unix_ms % 1000) * 1000000);
 }
 
+// A stored time that is impossible counts as none.
+int64_t MsOf(const google::protobuf::Duration& duration) {
+  if (duration.seconds() < 0 || duration.seconds() > int64_t{1} << 40 || duration.nanos() < 0) {
+    return 0;
+  }
+  return duration.seconds() * 1000 + duration.nanos() / 1000000;
+}
+
 }  // namespace
 
 Coordinator::Job* Coordinator::FindJob(JobId id) {
@@ -115,8 +123,14 @@ void Coordinator::On(RestoreJobEvent& event) {
   const absl::StatusOr<JobId> id = ParseJobName(event.job.name());
   const absl::StatusOr<v1::JobSettings> settings =
       CompleteSettings(event.job.settings(), config_.defaults);
-  if (!id.ok() || !settings.ok() || jobs_.contains(*id)) {
+  if (!id.ok() || !settings.ok()) {
     result_.status = !id.ok() ? id.status() : settings.status();
+    return;
+  }
+  if (jobs_.contains(*id) || !v1::JobState_IsValid(event.job.state()) ||
+      event.job.state() == v1::JOB_STATE_UNSPECIFIED) {
+    result_.status = absl::InvalidArgumentError(absl::StrCat(
+        "state ", static_cast<int>(event.job.state()), " is unknown, or the job there already"));
     return;
   }
   auto job = std::make_unique<Job>();
@@ -128,21 +142,43 @@ void Coordinator::On(RestoreJobEvent& event) {
   next_job_ = std::max(next_job_, job->id + 1);
   RememberRequest(job->request_id, "create", job->id);
   result_.job = job->id;
+  job->spent_ms = MsOf(job->record.progress().work_time());
   Job& added = *jobs_.emplace(*id, std::move(job)).first->second;
   Touch(added);
   if (added.IsTerminal()) {
     added.film_final_stored = true;
     return;
   }
-  UpdateProgress(added);
-  if (added.record.state() == v1::JOB_STATE_FINISHING) {
-    Finish(added, added.record.stop_reason());
-  } else if (added.record.state() == v1::JOB_STATE_PAUSED) {
-    StartQueue(added);
-  } else {
-    SetState(added, v1::JOB_STATE_QUEUED);
-    StartQueue(added);
+  // The record may be newer than the film, whose samples alone count.
+  v1::JobProgress& progress = *added.record.mutable_progress();
+  progress.set_rays(0);
+  progress.set_delta_bytes(0);
+  progress.set_render_core_seconds(0);
+  if (std::ssize(event.costs) == added.grid.num_tiles()) added.costs = std::move(event.costs);
+  for (const TileCost& cost : added.costs) AddCost(cost, &progress);
+  if (!event.failure.empty()) return Fail(added, event.failure);
+  GoOn(added);
+}
+
+void Coordinator::GoOn(Job& job) {
+  const int64_t samples_before = job.record.progress().samples();
+  UpdateProgress(job);
+  if (job.record.state() == v1::JOB_STATE_FINISHING) {
+    const v1::StopReason reason = job.record.stop_reason();
+    const bool is_whole = job.film->samples() == samples_before;
+    if (job.film->samples() > 0 && (is_whole || reason == v1::STOP_REASON_CANCELLED)) {
+      return Finish(job, reason);
+    }
+    job.record.clear_stop_reason();
+    if (reason == v1::STOP_REASON_CANCELLED) {
+      job.record.set_stop_reason(reason);
+      SetState(job, v1::JOB_STATE_CANCELLED);
+      return Save(job, false);
+    }
   }
+  // Samples that the film has lost are rendered again, to the same end.
+  if (job.record.state() != v1::JOB_STATE_PAUSED) SetState(job, v1::JOB_STATE_QUEUED);
+  StartQueue(job);
 }
 
 void Coordinator::On(FilmStoredEvent& event) {
@@ -297,6 +333,12 @@ void Coordinator::SetState(Job& job, v1::JobState state) {
 }
 
 void Coordinator::Touch(Job& job) {
+  if (job.queue != nullptr) {
+    const int64_t spent_ms = job.ElapsedMs(now_.monotonic_ms);
+    google::protobuf::Duration& time = *job.record.mutable_progress()->mutable_work_time();
+    time.set_seconds(spent_ms / 1000);
+    time.set_nanos(static_cast<int>(spent_ms % 1000) * 1000000);
+  }
   job.record.mutable_revision()->set_incarnation(config_.incarnation);
   job.record.mutable_revision()->set_counter(++revision_);
   result_.effects.emplace_back(JobChangedEffect{job.id});

@@ -18,6 +18,15 @@ int64_t MaxTimeMs(const v1::JobSettings& settings) {
   return settings.max_time().seconds() * 1000 + settings.max_time().nanos() / 1000000;
 }
 
+TileCost CostOfDelta(const DeltaEvent& event) {
+  const auto& time = event.delta.render_time();
+  const bool is_possible = time.seconds() >= 0 && time.seconds() < 1000000 && time.nanos() >= 0 &&
+                           time.nanos() < 1000000000;
+  return {.rays = event.delta.rays(),
+          .delta_bytes = event.wire_bytes,
+          .render_ns = is_possible ? time.seconds() * 1000000000 + time.nanos() : 0};
+}
+
 bool IsCovered(const Film& film, const Unit& unit) {
   return std::ranges::any_of(film.Nodes(unit.tile), [&](const TileStatistics& node) {
     return node.range().begin <= unit.range.begin && unit.range.end <= node.range().end;
@@ -77,14 +86,10 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
 
   job.film_changed = true;
   if (job.first_merge_ms == 0) job.first_merge_ms = now_.monotonic_ms;
-  v1::JobProgress& progress = *job.record.mutable_progress();
-  progress.set_rays(progress.rays() + event.delta.rays());
-  progress.set_delta_bytes(progress.delta_bytes() + event.wire_bytes);
-  const double seconds = static_cast<double>(event.delta.render_time().seconds()) +
-                         1e-9 * event.delta.render_time().nanos();
-  if (seconds > 0 && seconds < 1e6) {
-    progress.set_render_core_seconds(progress.render_core_seconds() + seconds);
-  }
+  const TileCost cost = CostOfDelta(event);
+  if (job.costs.empty()) job.costs.resize(static_cast<size_t>(job.grid.num_tiles()));
+  job.costs[static_cast<size_t>(unit.tile)] += cost;
+  AddCost(cost, job.record.mutable_progress());
   UpdateProgress(job);
   Touch(job);
   if (job.film->CommittedEnd(unit.tile) != committed_before) {
@@ -123,14 +128,14 @@ void Coordinator::OpenNextEpoch(Job& job) {
   const SampleSchedule& schedule = job.queue->schedule();
   const int64_t committed = job.queue->committed_spp();
   const int64_t epoch_end = schedule.EpochEnd(committed);
-  if (settings.has_max_time() && !NextEpochFits(job)) {
-    Finish(job, v1::STOP_REASON_MAX_TIME);
-    return;
-  }
   // After a restart the film may be amid an epoch: then the decision to begin it was taken before.
   const bool is_decided =
       committed > 0 && (schedule.EpochEnd(committed - 1) != committed ||
                         job.film->samples() > committed * job.grid.region().area());
+  if (settings.has_max_time() && !is_decided && !NextEpochFits(job)) {
+    Finish(job, v1::STOP_REASON_MAX_TIME);
+    return;
+  }
   if (settings.target_error() > 0 && committed >= kEvaluateFromSpp && !is_decided) {
     // Decisions about sampling see exactly the committed epoch (C2): nothing runs ahead.
     job.queue->SetGate(committed);
@@ -146,13 +151,16 @@ void Coordinator::OpenNextEpoch(Job& job) {
 // Whether the next epoch is likely to end in time, at the speed so far.
 bool Coordinator::NextEpochFits(const Job& job) const {
   const int64_t committed = job.queue->committed_spp();
-  if (committed <= job.start_spp || job.first_merge_ms == 0) return true;
+  const int64_t elapsed_ms = job.ElapsedMs(now_.monotonic_ms);
+  const int64_t max_ms = MaxTimeMs(job.record.settings());
+  if (committed <= job.start_spp || job.first_merge_ms == 0) {
+    return committed == 0 || elapsed_ms < max_ms;
+  }
   const int64_t next = job.queue->schedule().EpochEnd(committed) - committed;
   const double ms_per_spp = static_cast<double>(now_.monotonic_ms - job.first_merge_ms) /
                             static_cast<double>(committed - job.start_spp);
-  return static_cast<double>(job.ElapsedMs(now_.monotonic_ms)) +
-             ms_per_spp * static_cast<double>(next) <=
-         static_cast<double>(MaxTimeMs(job.record.settings()));
+  return static_cast<double>(elapsed_ms) + ms_per_spp * static_cast<double>(next) <=
+         static_cast<double>(max_ms);
 }
 
 void Coordinator::CheckTime(Job& job) {

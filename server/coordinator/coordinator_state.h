@@ -24,12 +24,20 @@ inline std::string CutText(const std::string& text, size_t bytes_max) {
   return text.substr(0, size);
 }
 
+inline void AddCost(const TileCost& cost, v1::JobProgress* progress) {
+  progress->set_rays(progress->rays() + cost.rays);
+  progress->set_delta_bytes(progress->delta_bytes() + cost.delta_bytes);
+  progress->set_render_core_seconds(progress->render_core_seconds() +
+                                    1e-9 * static_cast<double>(cost.render_ns));
+}
+
 struct Coordinator::Job {
   JobId id = 0;
   std::string request_id;
   v1::Job record;  // what clients see, but for progress.workers
   TileGrid grid;
   std::shared_ptr<Film> film;
+  std::vector<TileCost> costs;  // of the film, by tile; empty before the first delta
   std::unique_ptr<TileQueue> queue;  // null once no sample is wanted any more
 
   std::map<SessionId, int> leases_of_session;

@@ -10,6 +10,7 @@
 #include "core/base/sha256.h"
 #include "core/film/film.h"
 #include "core/film/tile_statistics.h"
+#include "server/coordinator/tile_cost.h"
 #include "tessera/v1/job.pb.h"
 #include "tessera/v1/worker.pb.h"
 
@@ -28,8 +29,8 @@ struct Instant {
 // Clients.
 struct CreateJobEvent {
   v1::JobSettings settings;
-  std::string request_id;
-  std::shared_ptr<Film> film;  // samples to start from; null = none. The job becomes its owner.
+  std::string request_id{};
+  std::shared_ptr<Film> film{};  // samples to start from; null = none. The job becomes its owner.
 };
 // kUndoCreate: as if the job had never been asked for; its request_id is free again.
 enum class JobCommand { kPause, kResume, kCancel, kDelete, kUndoCreate };
@@ -43,7 +44,9 @@ struct JobCommandEvent {
 struct RestoreJobEvent {
   v1::Job job;
   std::string request_id;
-  std::shared_ptr<Film> film;  // not needed for a job that has ended
+  std::shared_ptr<Film> film{};    // not needed for a job that has ended
+  std::vector<TileCost> costs{};   // of the film, by tile; empty = unknown
+  std::string failure{};           // why a job that has not ended cannot go on; empty = it can
 };
 // The film was written to disk, with at least the `samples` that it had when that began.
 struct FilmStoredEvent {

@@ -32,10 +32,20 @@ inline constexpr int64_t kLeaseSamplesMax = int64_t{1} << 19;
 // How many ranges of one tile may be under way at once; bounds the film's waiting nodes.
 inline constexpr int kOpenStagesMax = 8;
 
+inline constexpr int kStreamsOfConnectionMax = 1024;  // more wait at the client
+inline constexpr int kWatchesMax = 4096;
+// Pictures and films on their way to clients hold copies in memory.
+inline constexpr int kImageStreamsMax = 64;
+inline constexpr int64_t kImageStreamBytesMax = int64_t{1} << 30;
+inline constexpr int kFilmStreamsMax = 16;
+inline constexpr int64_t kFilmStreamBytesMax = int64_t{2} << 30;
+inline constexpr int64_t kFilmBytesPerPixel = 184;
+
 inline constexpr int kMessageBytesMax = 4 << 20;  // that the server receives
 // A job's settings travel in every Job and to every worker, whose messages have the same bound.
 inline constexpr int kSettingsBytesMax = 1 << 20;
 inline constexpr int kChunkBytesMax = 1 << 20;    // of one streamed message
 inline constexpr int kListPageMax = 1000;
+inline constexpr int kListPageBytesMax = 1 << 20;  // a page with a single job may be larger
 
 }  // namespace tessera

@@ -146,7 +146,7 @@ absl::Status HttpServer::Impl::Start(const std::string& address) {
   if (colon == std::string::npos || !absl::SimpleAtoi(address.substr(colon + 1), &port) ||
       port < 0 || port > 65535) {
     return absl::InvalidArgumentError(
-        absl::StrCat("--http ", address, " is no address: give HOST:PORT"));
+        absl::StrCat("--http ", address, " is no address: give HOST:PORT, or off"));
   }
   std::string name = address.substr(0, colon);
   if (name.size() > 2 && name.front() == '[') name = name.substr(1, name.size() - 2);
@@ -162,7 +162,8 @@ absl::Status HttpServer::Impl::Start(const std::string& address) {
                     : (server_.bind_to_port(name.c_str(), port) ? port : -1);
   if (port_ <= 0) {
     return absl::UnavailableError(absl::StrCat(
-        "cannot listen on --http ", address, ": the address is in use or not this machine's"));
+        "cannot listen on --http ", address, ": the address is in use or not this machine's; "
+        "choose another, such as 127.0.0.1:0 for any free port, or --http off"));
   }
   thread_ = std::thread([this] { server_.listen_after_bind(); });
   return absl::OkStatus();
@@ -211,10 +212,16 @@ void HttpServer::Impl::AddRoutes() {
   server_.Get("/", [](const httplib::Request&, httplib::Response& response) {
     response.set_content(kIndexPage, "text/html; charset=utf-8");
   });
-  server_.Get("/jobs", [this](const httplib::Request&, httplib::Response& response) {
+  server_.Get("/jobs", [this](const httplib::Request& request, httplib::Response& response) {
+    JobId after = 0;
+    if (request.has_param("after") &&
+        !absl::SimpleAtoi(request.get_param_value("after"), &after)) {
+      return Refuse(absl::InvalidArgumentError("after: give the N of a jobs/N"), response);
+    }
     v1::ListJobsResponse list;
-    for (v1::Job& job :
-         host_.Read([](const Coordinator& c) { return c.ListJobs(0, kListPageMax); })) {
+    for (v1::Job& job : host_.Read([&](const Coordinator& c) {
+           return c.ListJobs(after, kListPageMax, kListPageBytesMax);
+         })) {
       *list.add_jobs() = std::move(job);
     }
     response.set_content(Json(list), "application/json");

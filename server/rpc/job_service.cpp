@@ -29,18 +29,18 @@ class RefusedWatch : public grpc::ServerWriteReactor<v1::Job> {
 }  // namespace
 
 JobService::JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watchers,
-                       SettingsDefaults defaults, std::function<absl::Status(JobId)> save)
+                       SettingsDefaults defaults, JobKeeper keeper)
     : host_(host),
       assets_(assets),
       watchers_(watchers),
       defaults_(std::move(defaults)),
-      save_(std::move(save)) {}
+      keeper_(std::move(keeper)) {}
 
 absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* response) {
   const JobId repeated =
       host_.Read([&](const Coordinator& c) { return c.JobOfRequest(request.request_id()); });
   if (repeated != 0) {
-    if (absl::Status status = save_(repeated); !status.ok()) return status;
+    if (absl::Status status = keeper_.save(repeated); !status.ok()) return status;
     return Get(JobName(repeated), response);
   }
   absl::StatusOr<v1::JobSettings> settings = CompleteSettings(request.settings(), defaults_);
@@ -63,7 +63,7 @@ absl::Status JobService::Create(const v1::CreateJobRequest& request, v1::Job* re
   absl::Status status = assets_.Reference(answer.job, digests);
   // A job that has been deleted (a repeated request's, too) gives no references back any more.
   if (!Get(JobName(answer.job), response).ok()) assets_.Release(answer.job);
-  if (status.ok()) status = save_(answer.job);
+  if (status.ok()) status = keeper_.save(answer.job);
   if (!status.ok()) {
     // A job that another call of the same request has made stays what it is.
     if (answer.is_new) host_.Post(JobCommandEvent{JobCommand::kUndoCreate, answer.job, ""});
@@ -100,8 +100,12 @@ absl::Status JobService::Command(JobCommand command, const std::string& name,
   const absl::StatusOr<JobId> id = ParseJobName(name);
   if (!id.ok()) return id.status();
   const CoordinatorHost::Answer answer = host_.Post(JobCommandEvent{command, *id, request_id});
-  if (!answer.status.ok() || response == nullptr) return answer.status;
-  return Get(name, response);
+  if (!answer.status.ok()) return answer.status;
+  // The job has changed, whatever becomes of its row now: that is written again later.
+  const absl::Status kept =
+      command == JobCommand::kDelete ? keeper_.remove(*id) : keeper_.save(*id);
+  if (!kept.ok()) ServerLog().error("job={} {}", *id, std::string(kept.message()));
+  return response == nullptr ? absl::OkStatus() : Get(name, response);
 }
 
 grpc::ServerUnaryReactor* JobService::CreateJob(grpc::CallbackServerContext* context,
@@ -132,16 +136,16 @@ grpc::ServerUnaryReactor* JobService::ListJobs(grpc::CallbackServerContext* cont
   }
   const int page_size = request->page_size() == 0 ? kListPageDefault
                                                   : std::min(request->page_size(), kListPageMax);
-  const std::vector<v1::Job> jobs = host_.Read(
-      [&](const Coordinator& c) { return c.ListJobs(after, static_cast<size_t>(page_size) + 1); });
-  for (const v1::Job& job : jobs) {
-    if (response->jobs_size() == page_size) {
-      const std::string& last = response->jobs(page_size - 1).name();
-      response->set_next_page_token(absl::StrCat(*ParseJobName(last)));
-      break;
-    }
-    *response->add_jobs() = job;
-  }
+  bool has_more = false;
+  std::vector<v1::Job> jobs = host_.Read([&](const Coordinator& c) {
+    std::vector<v1::Job> page =
+        c.ListJobs(after, static_cast<size_t>(page_size), kListPageBytesMax);
+    if (!page.empty()) after = *ParseJobName(page.back().name());
+    has_more = !c.ListJobs(after, 1).empty();
+    return page;
+  });
+  for (v1::Job& job : jobs) *response->add_jobs() = std::move(job);
+  if (has_more) response->set_next_page_token(absl::StrCat(after));
   return Reply(context, absl::OkStatus());
 }
 

@@ -10,12 +10,17 @@
 
 namespace tessera {
 
+// Makes what clients ask for durable before it is acknowledged.
+struct JobKeeper {
+  std::function<absl::Status(JobId)> save;
+  std::function<absl::Status(JobId)> remove;
+};
+
 class JobService final : public v1::JobService::CallbackService {
  public:
-  // save: makes the job's record durable before its creation is acknowledged.
   // All references must outlive the service.
   JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watchers,
-             SettingsDefaults defaults, std::function<absl::Status(JobId)> save);
+             SettingsDefaults defaults, JobKeeper keeper);
 
   grpc::ServerUnaryReactor* CreateJob(grpc::CallbackServerContext* context,
                                       const v1::CreateJobRequest* request,
@@ -52,7 +57,7 @@ class JobService final : public v1::JobService::CallbackService {
   AssetStore& assets_;
   WatchHub& watchers_;
   const SettingsDefaults defaults_;
-  const std::function<absl::Status(JobId)> save_;
+  const JobKeeper keeper_;
 };
 
 }  // namespace tessera

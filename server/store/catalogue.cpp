@@ -9,7 +9,7 @@ namespace {
 
 constexpr char kSchema[] =
     "PRAGMA journal_mode = WAL;"
-    "PRAGMA synchronous = NORMAL;"
+    "PRAGMA synchronous = FULL;"
     "PRAGMA busy_timeout = 5000;"
     "CREATE TABLE IF NOT EXISTS jobs (job INTEGER PRIMARY KEY, request_id TEXT NOT NULL,"
     "  record BLOB NOT NULL);"
@@ -72,17 +72,34 @@ absl::Status Catalogue::Execute(const char* sql) {
 absl::Status Catalogue::Put(const CatalogueRow& row) {
   std::lock_guard lock(mu_);
   Statement put(db_, "INSERT OR REPLACE INTO jobs VALUES (?1, ?2, ?3)");
-  if (!put.ok()) return Error("write");
-  put.Bind(1, static_cast<int64_t>(row.job));
-  put.BindText(2, row.request_id);
-  put.BindBlob(3, row.record);
-  if (put.Step() != SQLITE_DONE) return Error("write");
   Statement last(db_,
                  "INSERT INTO counters VALUES ('last_job', ?1) ON CONFLICT (name) DO UPDATE SET "
                  "value = max(value, excluded.value)");
-  if (!last.ok()) return Error("write");
+  if (!put.ok() || !last.ok()) return Error("write");
+  put.Bind(1, static_cast<int64_t>(row.job));
+  put.BindText(2, row.request_id);
+  put.BindBlob(3, row.record);
   last.Bind(1, static_cast<int64_t>(row.job));
-  return last.Step() == SQLITE_DONE ? absl::OkStatus() : Error("write");
+  if (sqlite3_exec(db_, "BEGIN IMMEDIATE", nullptr, nullptr, nullptr) == SQLITE_OK &&
+      put.Step() == SQLITE_DONE && last.Step() == SQLITE_DONE &&
+      sqlite3_exec(db_, "COMMIT", nullptr, nullptr, nullptr) == SQLITE_OK) {
+    return absl::OkStatus();
+  }
+  const absl::Status status = Error("write");
+  if (sqlite3_get_autocommit(db_) == 0) {
+    sqlite3_exec(db_, "ROLLBACK", nullptr, nullptr, nullptr);
+  }
+  return status;
+}
+
+absl::StatusOr<bool> Catalogue::Has(uint64_t job) {
+  std::lock_guard lock(mu_);
+  Statement find(db_, "SELECT 1 FROM jobs WHERE job = ?1");
+  if (!find.ok()) return Error("read");
+  find.Bind(1, static_cast<int64_t>(job));
+  const int result = find.Step();
+  if (result != SQLITE_ROW && result != SQLITE_DONE) return Error("read");
+  return result == SQLITE_ROW;
 }
 
 absl::Status Catalogue::Remove(uint64_t job) {
@@ -119,7 +136,9 @@ absl::StatusOr<uint64_t> Catalogue::LastJob() {
   std::lock_guard lock(mu_);
   Statement last(db_, "SELECT value FROM counters WHERE name = 'last_job'");
   if (!last.ok()) return Error("read");
-  return last.Step() == SQLITE_ROW ? static_cast<uint64_t>(last.Integer(0)) : 0;
+  const int result = last.Step();
+  if (result != SQLITE_ROW && result != SQLITE_DONE) return Error("read");
+  return result == SQLITE_ROW ? static_cast<uint64_t>(last.Integer(0)) : 0;
 }
 
 }  // namespace tessera

@@ -27,7 +27,9 @@ class Catalogue {
   static absl::StatusOr<std::unique_ptr<Catalogue>> Open(const std::string& path);
   ~Catalogue();
 
+  // Survives a loss of power once it has returned.
   absl::Status Put(const CatalogueRow& row);
+  absl::StatusOr<bool> Has(uint64_t job);
   absl::Status Remove(uint64_t job);
   absl::StatusOr<std::vector<CatalogueRow>> ReadAll();
   // Counts the runs of the server on this catalogue, starting with 1.

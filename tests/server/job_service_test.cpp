@@ -45,10 +45,12 @@ class JobServiceTest : public testing::Test {
                       .added = [](JobId) {},
                       .removed = [](JobId) {}}};
   std::atomic<bool> disk_is_full_ = false;
-  JobService service_{host_, *assets_, watchers_, SmallConfig().defaults, [this](JobId) {
-                        return disk_is_full_ ? absl::InternalError("the disk is full")
-                                             : absl::OkStatus();
-                      }};
+  absl::Status Keep() const {
+    return disk_is_full_ ? absl::InternalError("the disk is full") : absl::OkStatus();
+  }
+  JobService service_{
+      host_, *assets_, watchers_, SmallConfig().defaults,
+      {.save = [this](JobId) { return Keep(); }, .remove = [this](JobId) { return Keep(); }}};
   v1::JobSettings settings_ = SmallSettings();
   std::unique_ptr<grpc::Server> server_;
   std::unique_ptr<v1::JobService::Stub> stub_;
@@ -73,6 +75,30 @@ TEST_F(JobServiceTest, ACreationThatCannotBeSavedCanBeRepeated) {
   disk_is_full_ = false;
   ASSERT_TRUE(Create("r1", &job).ok()) << "it is new, not the one that was taken back";
   EXPECT_EQ(NumJobs(), 1u);
+}
+
+TEST_F(JobServiceTest, PagesAreBoundedInBytes) {
+  for (int i = 0; i < 200; ++i) {
+    v1::AssetRef asset = settings_.assets(0);
+    asset.set_name(std::to_string(i) + std::string(3000, 'x'));
+    *settings_.add_assets() = asset;
+  }
+  v1::Job job;
+  for (int i = 0; i < 4; ++i) ASSERT_TRUE(Create("", &job).ok());
+  v1::ListJobsRequest request;
+  std::vector<std::string> names;
+  int pages = 0;
+  do {
+    grpc::ClientContext context;
+    v1::ListJobsResponse page;
+    ASSERT_TRUE(stub_->ListJobs(&context, request, &page).ok());
+    EXPECT_LE(page.ByteSizeLong(), size_t{2} << 20);
+    for (const v1::Job& listed : page.jobs()) names.push_back(listed.name());
+    request.set_page_token(page.next_page_token());
+    ++pages;
+  } while (!request.page_token().empty());
+  EXPECT_EQ(names, (std::vector<std::string>{"jobs/1", "jobs/2", "jobs/3", "jobs/4"}));
+  EXPECT_EQ(pages, 4) << "each has 600 kB";
 }
 
 // By then the quota may be full, or assets gone.

@@ -226,6 +226,37 @@ TEST_F(ServiceTest, JobsSurviveARestart) {
   std::filesystem::remove_all(options.data_dir);
 }
 
+TEST_F(ServiceTest, ALostFilmIsSaidToBeLost) {
+  ServiceOptions options;
+  options.data_dir = testing::TempDir() + "/lost-" + std::to_string(::getpid());
+  std::filesystem::remove_all(options.data_dir);
+  StartService(options);
+  v1::Job done, last;
+  ASSERT_TRUE(Create(UploadedSettings(3), &done).ok());
+  {
+    SyntheticWorker worker(channel);
+    Watch(done.name(), &last);
+  }
+  service->Shutdown();
+  service.reset();
+  std::filesystem::resize_file(options.data_dir + "/films/1.film", 100);
+  StartService(options);
+  grpc::ClientContext film_context, image_context;
+  v1::GetFilmRequest film;
+  film.set_job(done.name());
+  v1::GetFilmResponse node;
+  const auto nodes = images->GetFilm(&film_context, film);
+  EXPECT_FALSE(nodes->Read(&node));
+  EXPECT_EQ(nodes->Finish().error_code(), grpc::DATA_LOSS);
+  v1::GetImageRequest image;
+  image.set_job(done.name());
+  v1::GetImageResponse part;
+  const auto parts = images->GetImage(&image_context, image);
+  EXPECT_FALSE(parts->Read(&part)) << "no black picture";
+  EXPECT_EQ(parts->Finish().error_code(), grpc::UNAVAILABLE);
+  std::filesystem::remove_all(options.data_dir);
+}
+
 TEST(ServiceStart, RefusesPlaintextToTheWorldAndPortsInUse) {
   ServiceOptions options;
   options.listen = "0.0.0.0:0";
@@ -237,6 +268,22 @@ TEST(ServiceStart, RefusesPlaintextToTheWorldAndPortsInUse) {
   ASSERT_TRUE(first.ok());
   options.listen = absl::StrCat("127.0.0.1:", (*first)->port());
   EXPECT_TRUE(absl::IsUnavailable(Service::Start(options).status()));
+}
+
+TEST(ServiceStart, AnHttpPortInUseIsNamedWithTheRemedy) {
+  ServiceOptions options;
+  options.listen = options.http_listen = "127.0.0.1:0";
+  const auto first = Service::Start(options);
+  ASSERT_TRUE(first.ok());
+  EXPECT_GT((*first)->http_port(), 0);
+  options.http_listen = absl::StrCat("127.0.0.1:", (*first)->http_port());
+  const absl::Status in_use = Service::Start(options).status();
+  EXPECT_TRUE(absl::IsUnavailable(in_use));
+  EXPECT_NE(in_use.message().find("--http off"), absl::string_view::npos) << in_use;
+  options.http_listen = "off";
+  const auto second = Service::Start(options);
+  ASSERT_TRUE(second.ok());
+  EXPECT_EQ((*second)->http_port(), 0);
 }
 
 }  // namespace

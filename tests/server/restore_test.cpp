@@ -1,0 +1,270 @@
+// What a server finds in its data folder after it was killed, at any moment and with any damage.
+#include "server/restore.h"
+
+#include <filesystem>
+#include <fstream>
+
+#include <gtest/gtest.h>
+
+#include "server/job_saver.h"
+#include "tests/server/simulated_farm.h"
+
+namespace tessera {
+namespace {
+
+constexpr int64_t kPixels = 190;
+
+class NoEffects : public EffectSink {
+ public:
+  void Apply(const Effect&) override {}
+};
+
+// A server's data folder and its coordinator, whose effects the test carries out itself.
+class ServerRun {
+ public:
+  explicit ServerRun(const std::string& dir)
+      : catalogue(*Catalogue::Open(dir + "/jobs.sqlite")),
+        films(*FilmStore::Open(dir + "/films")),
+        assets(*AssetStore::Open(dir + "/assets", 0)),
+        host(SmallConfig(), effects),
+        saver(std::make_unique<JobSaver>(catalogue.get(), films.get(), assets.get())) {}
+
+  absl::Status Restore() {
+    return RestoreJobs(*catalogue, *films, *assets, SmallConfig().defaults, host);
+  }
+  v1::Job Job(JobId id) const {
+    return *host.Read([&](const Coordinator& c) { return c.GetJob(id); });
+  }
+  bool Has(JobId id) const {
+    return host.Read([&](const Coordinator& c) { return c.GetJob(id).ok(); });
+  }
+
+  NoEffects effects;
+  std::unique_ptr<Catalogue> catalogue;
+  std::unique_ptr<FilmStore> films;
+  std::unique_ptr<AssetStore> assets;
+  CoordinatorHost host;
+  std::unique_ptr<JobSaver> saver;
+};
+
+class RestoreTest : public testing::Test {
+ protected:
+  void SetUp() override {
+    dir_ = testing::TempDir() + "/restore-" + std::to_string(::getpid());
+    std::filesystem::remove_all(dir_);
+    std::filesystem::create_directories(dir_);
+    run_ = std::make_unique<ServerRun>(dir_);
+    const std::string scene = "a scene";
+    settings_.mutable_assets(0)->set_sha256(ToBytes(Sha256Of(scene)));
+    ASSERT_TRUE(run_->assets->Append(Sha256Of(scene), 7, 0, scene).ok());
+  }
+  void TearDown() override { std::filesystem::remove_all(dir_); }
+
+  // A row as a server has left it, 8 of 16 samples rendered.
+  v1::Job Record(JobId id, v1::JobState state = v1::JOB_STATE_RUNNING) {
+    v1::Job job;
+    job.set_name(JobName(id));
+    *job.mutable_settings() = *CompleteSettings(settings_, SmallConfig().defaults);
+    job.set_state(state);
+    job.mutable_progress()->set_samples(8 * kPixels);
+    job.mutable_progress()->set_rays(999999);
+    return job;
+  }
+  void PutRow(JobId id, const std::string& record) {
+    ASSERT_TRUE(run_->catalogue->Put({id, "", record}).ok());
+  }
+  void PutFilm(JobId id, int64_t spp) {
+    const TileGrid grid(RegionOf(settings_), settings_.tile_size());
+    const Film film = SyntheticFilm(0, grid, spp);
+    ASSERT_TRUE(run_->films
+                    ->Save(id, grid.num_tiles(),
+                           [&](int64_t tile) {
+                             return FilmStore::Tile{film.Nodes(tile), {.rays = 5}};
+                           })
+                    .ok());
+  }
+  std::string FilmPath(JobId id) const { return dir_ + "/films/" + std::to_string(id) + ".film"; }
+
+  std::string dir_;
+  v1::JobSettings settings_ = SmallSettings(16);
+  std::unique_ptr<ServerRun> run_;
+};
+
+TEST_F(RestoreTest, FiguresAreOfTheFilmsMoment) {
+  PutRow(1, Record(1).SerializeAsString());
+  PutFilm(1, 4);
+  ASSERT_TRUE(run_->Restore().ok());
+  const v1::JobProgress progress = run_->Job(1).progress();
+  EXPECT_EQ(progress.samples(), 4 * kPixels);
+  EXPECT_EQ(progress.rays(), 6 * 5) << "of the film's six tiles, not the record's";
+}
+
+TEST_F(RestoreTest, DamageCostsItsOwnJobOnly) {
+  PutRow(1, "this is no record");
+  PutRow(2, Record(3).SerializeAsString());  // another job's
+  v1::Job bad = Record(4);
+  bad.mutable_settings()->set_tile_size(0);
+  bad.mutable_settings()->set_width(-5);
+  PutRow(4, bad.SerializeAsString());
+  bad = Record(5);
+  bad.mutable_settings()->mutable_assets(0)->set_sha256("short");
+  PutRow(5, bad.SerializeAsString());
+  bad = Record(6);
+  bad.mutable_settings()->set_denoiser("magic");
+  PutRow(6, bad.SerializeAsString());
+  bad = Record(7);
+  bad.set_state(static_cast<v1::JobState>(77));
+  PutRow(7, bad.SerializeAsString());
+  bad = Record(8);
+  bad.mutable_settings()->mutable_assets(0)->set_sha256(std::string(32, 'q'));
+  PutRow(8, bad.SerializeAsString());
+  bad.set_name("jobs/9");
+  bad.set_state(v1::JOB_STATE_DONE);
+  PutRow(9, bad.SerializeAsString());
+  PutRow(10, Record(10).SerializeAsString());
+  PutFilm(10, 8);
+  PutRow(11, Record(11).SerializeAsString());
+  PutFilm(11, 8);
+  std::filesystem::resize_file(FilmPath(11), 500);
+  PutFilm(4, 8);
+  PutFilm(12, 8);
+
+  ASSERT_TRUE(run_->Restore().ok());
+  for (const JobId id : {1u, 2u, 4u, 5u, 6u, 7u}) EXPECT_FALSE(run_->Has(id)) << id;
+  EXPECT_EQ(run_->Job(8).state(), v1::JOB_STATE_FAILED) << "its assets are lost";
+  EXPECT_NE(run_->Job(8).error().find("submit"), std::string::npos);
+  EXPECT_EQ(run_->Job(9).state(), v1::JOB_STATE_DONE) << "it needs them no more";
+  EXPECT_EQ(run_->Job(10).progress().samples(), 8 * kPixels);
+  EXPECT_EQ(run_->Job(11).progress().samples(), 0) << "rendered again";
+  EXPECT_EQ(run_->Job(11).state(), v1::JOB_STATE_QUEUED);
+  EXPECT_TRUE(std::filesystem::exists(FilmPath(4))) << "its row can still be mended";
+  EXPECT_FALSE(std::filesystem::exists(FilmPath(12))) << "it has no row";
+}
+
+// The record may be written while the film of that moment is not.
+TEST_F(RestoreTest, AJobThatWasFinishingWithALaterFilmRendersTheRest) {
+  v1::Job record = Record(1, v1::JOB_STATE_FINISHING);
+  record.mutable_progress()->set_samples(16 * kPixels);
+  record.set_stop_reason(v1::STOP_REASON_SPP);
+  PutRow(1, record.SerializeAsString());
+  PutFilm(1, 8);
+  record.set_name("jobs/2");
+  PutRow(2, record.SerializeAsString());
+  PutFilm(2, 16);
+  record.set_name("jobs/3");
+  record.set_stop_reason(v1::STOP_REASON_CANCELLED);
+  PutRow(3, record.SerializeAsString());
+  PutFilm(3, 8);
+  record.set_name("jobs/4");
+  PutRow(4, record.SerializeAsString());  // no film at all
+  ASSERT_TRUE(run_->Restore().ok());
+  EXPECT_EQ(run_->Job(1).state(), v1::JOB_STATE_QUEUED);
+  EXPECT_EQ(run_->Job(2).state(), v1::JOB_STATE_FINISHING);
+  EXPECT_EQ(run_->Job(3).state(), v1::JOB_STATE_FINISHING) << "a cancelled job goes on no more";
+  EXPECT_EQ(run_->Job(4).state(), v1::JOB_STATE_CANCELLED);
+}
+
+TEST_F(RestoreTest, MaxTimeGoesOnWhereItWas) {
+  settings_.set_spp(1024);
+  settings_.mutable_max_time()->set_seconds(10);
+  v1::Job record = Record(1);
+  record.mutable_progress()->mutable_work_time()->set_seconds(11);
+  PutRow(1, record.SerializeAsString());
+  PutFilm(1, 8);
+  record.set_name("jobs/2");
+  record.mutable_progress()->mutable_work_time()->set_seconds(int64_t{1} << 62);  // damaged
+  PutRow(2, record.SerializeAsString());
+  PutFilm(2, 8);
+  ASSERT_TRUE(run_->Restore().ok());
+  EXPECT_EQ(run_->Job(1).state(), v1::JOB_STATE_FINISHING) << "its time was over";
+  EXPECT_EQ(run_->Job(1).stop_reason(), v1::STOP_REASON_MAX_TIME);
+  EXPECT_EQ(run_->Job(2).state(), v1::JOB_STATE_QUEUED);
+}
+
+class SaverTest : public RestoreTest {
+ protected:
+  void SetUp() override {
+    RestoreTest::SetUp();
+    run_->saver->Start(&run_->host);
+    job_ = run_->host.Post(CreateJobEvent{.settings = settings_}).job;
+    ASSERT_TRUE(run_->saver->SaveNow(job_).ok());
+    const SessionId session = 1;
+    SimulatedFarm farm;
+    run_->host.Post(WorkerConnectedEvent{session, farm.MakeHello("host", 2)});
+  }
+  // Merges all samples of the job's first pass over the frame: [0, 1) of each tile.
+  void Merge() {
+    const TileGrid grid(RegionOf(settings_), settings_.tile_size());
+    for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
+      for (const int64_t size : {1, 2, 4, 8, 16}) {
+        DeltaEvent event{.session = 1};
+        event.delta.set_job(JobName(job_));
+        event.delta.set_tile_index(tile);
+        event.delta.set_rays(1000 + tile);
+        event.tile = SyntheticTile(0, grid.WindowOf(tile), {0, size});
+        if (run_->host.Post(std::move(event)).status.ok()) break;
+      }
+    }
+  }
+  // A new server on what is on disk, as if this one were killed now.
+  v1::Job AfterKill() {
+    const std::string copy = dir_ + "-copy";
+    std::filesystem::remove_all(copy);
+    std::filesystem::copy(dir_, copy, std::filesystem::copy_options::recursive);
+    ServerRun next(copy);
+    EXPECT_TRUE(next.Restore().ok());
+    const v1::Job job = next.Has(job_) ? next.Job(job_) : v1::Job();
+    std::filesystem::remove_all(copy);
+    return job;
+  }
+
+  JobId job_ = 0;
+};
+
+TEST_F(SaverTest, WhatCouldNotBeWrittenIsWrittenLater) {
+  Merge();
+  const v1::Job merged = run_->Job(job_);
+  ASSERT_GT(merged.progress().samples(), 0);
+  // No film can be written in the place of this folder.
+  std::filesystem::create_directories(FilmPath(job_) + "/full");
+  run_->saver->Save(job_, true);
+  EXPECT_EQ(AfterKill().progress().samples(), 0);
+  std::filesystem::remove_all(FilmPath(job_));
+  run_->saver->Stop();
+  const v1::Job restored = AfterKill();
+  EXPECT_EQ(restored.progress().samples(), merged.progress().samples());
+  EXPECT_EQ(restored.progress().rays(), merged.progress().rays());
+}
+
+TEST_F(SaverTest, AJobThatWasDeletedStaysDeleted) {
+  Merge();
+  ASSERT_TRUE(run_->host.Post(JobCommandEvent{JobCommand::kDelete, job_, ""}).status.ok());
+  ASSERT_TRUE(run_->saver->RemoveNow(job_).ok());
+  EXPECT_EQ(AfterKill().name(), "") << "once that was acknowledged";
+  run_->saver->Save(job_, true);
+  run_->saver->Stop();
+  EXPECT_EQ(AfterKill().name(), "");
+}
+
+TEST_F(SaverTest, APauseSurvivesAtOnce) {
+  Merge();
+  ASSERT_TRUE(run_->host.Post(JobCommandEvent{JobCommand::kPause, job_, ""}).status.ok());
+  ASSERT_TRUE(run_->saver->SaveNow(job_).ok());
+  EXPECT_EQ(AfterKill().state(), v1::JOB_STATE_PAUSED);
+}
+
+// Its end waits for its film, which this run never writes.
+TEST_F(SaverTest, AnEndIsNotWrittenBeforeTheFilm) {
+  Merge();
+  ASSERT_TRUE(run_->host.Post(JobCommandEvent{JobCommand::kCancel, job_, ""}).status.ok());
+  run_->host.Post(JobFinishedEvent{job_, {}});
+  ASSERT_EQ(run_->Job(job_).state(), v1::JOB_STATE_CANCELLED);
+  ASSERT_TRUE(run_->saver->SaveNow(job_).ok());
+  EXPECT_NE(AfterKill().digest(), run_->Job(job_).digest());
+  run_->saver->Save(job_, true);
+  run_->saver->Stop();
+  EXPECT_EQ(AfterKill().state(), v1::JOB_STATE_CANCELLED);
+}
+
+}  // namespace
+}  // namespace tessera
