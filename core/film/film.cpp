@@ -35,7 +35,7 @@ void HashValues(const T* values, size_t num_values, Sha256* hash) {
 
 }  // namespace
 
-Film::Film(const TileGrid& grid) : grid_(grid), nodes_(static_cast<size_t>(grid.num_tiles())) {}
+Film::Film(const TileGrid& grid) : grid_(grid) {}
 
 absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
   if (tile_index < 0 || tile_index >= grid_.num_tiles()) {
@@ -52,6 +52,7 @@ absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
         absl::StrCat("the delta's window is not that of tile ", tile_index));
   }
 
+  if (nodes_.empty()) nodes_.resize(static_cast<size_t>(grid_.num_tiles()));
   // Nodes of one tree are nested or disjoint, so what begins last at or before `range` covers it
   // if anything does.
   std::vector<TileStatistics>& nodes = nodes_[static_cast<size_t>(tile_index)];
@@ -119,7 +120,23 @@ int64_t Film::CommittedEnd() const {
 
 const std::vector<TileStatistics>& Film::Nodes(int64_t tile_index) const {
   TESSERA_CHECK(tile_index >= 0 && tile_index < grid_.num_tiles());
-  return nodes_[static_cast<size_t>(tile_index)];
+  static const auto* const kNone = new std::vector<TileStatistics>;
+  return nodes_.empty() ? *kNone : nodes_[static_cast<size_t>(tile_index)];
+}
+
+void Film::DropWaiting() {
+  for (std::vector<TileStatistics>& nodes : nodes_) {
+    int64_t end = 0;
+    std::erase_if(nodes, [&](const TileStatistics& node) {
+      if (node.range().begin == end) {
+        end = node.range().end;
+        return false;
+      }
+      samples_ -= node.range().size() * node.num_pixels();
+      non_finite_ -= node.non_finite;
+      return true;
+    });
+  }
 }
 
 TileStatistics Film::Fold(int64_t tile_index, int64_t end) const {

@@ -49,6 +49,9 @@ class Film {
   // count plane's row; 4 bytes a value, little-endian. Independent of the tile size.
   Sha256Digest Digest() const;
 
+  // Drops every node that lies beyond its tile's CommittedEnd: no other sample will join it.
+  void DropWaiting();
+
   int64_t non_finite() const { return non_finite_; }
   int64_t samples() const { return samples_; }  // camera samples, waiting nodes included
 
@@ -59,7 +62,9 @@ class Film {
   static void HashRow(const std::vector<TileStatistics>& tiles, int y, Sha256* hash);
 
   TileGrid grid_;
-  std::vector<std::vector<TileStatistics>> nodes_;  // by tile; ascending, disjoint
+  // By tile; ascending, disjoint. Empty until the first node comes: a job that waits for its turn
+  // takes no memory for its tiles.
+  std::vector<std::vector<TileStatistics>> nodes_;
   int64_t non_finite_ = 0;
   int64_t samples_ = 0;
 };

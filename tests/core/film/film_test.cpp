@@ -104,6 +104,22 @@ TEST(FilmTest, NodesThatWaitDoNotMoveTheDigest) {
   EXPECT_EQ(film.CommittedEnd(), 4);
 }
 
+TEST(FilmTest, DroppingWhatWaitsKeepsTheDigest) {
+  Film film(TileGrid({0, 0, 8, 4}, 4));
+  film.DropWaiting();
+  EXPECT_EQ(film.samples(), 0);
+  Deliver({0, {0, 4}}, &film);
+  const Sha256Digest digest = film.Digest();
+  Deliver({0, {6, 8}}, &film);
+  Deliver({1, {2, 4}}, &film);
+  film.DropWaiting();
+  EXPECT_EQ(film.samples(), 4 * 16);
+  EXPECT_EQ(film.Nodes(0).size(), 1u);
+  EXPECT_TRUE(film.Nodes(1).empty());
+  EXPECT_EQ(film.Digest(), digest);
+  Deliver({1, {2, 4}}, &film);  // may come again
+}
+
 TEST(FilmTest, SiblingsJoinAsTheyArrive) {
   Film film(TileGrid({0, 0, 2, 2}, 2));
   Deliver({0, {4, 6}}, &film);
