@@ -78,6 +78,7 @@ absl::Status AssetFetcher::ReadOnce(const v1::AssetRef& asset, std::string* byte
   absl::Status error;
   while (error.ok() && reader->Read(&response)) {
     if (response.offset_bytes() != static_cast<int64_t>(bytes->size()) ||
+        response.chunk().empty() ||
         static_cast<int64_t>(bytes->size() + response.chunk().size()) > asset.size_bytes()) {
       error = absl::DataLossError(absl::StrCat(Describe(asset), ": the server sent bytes at ",
                                                response.offset_bytes(), " instead of ",

@@ -22,7 +22,9 @@ constexpr seconds kCloseTimeout{3};
 constexpr seconds kHealthySession{5};  // a session this long starts the back-off anew
 
 milliseconds ToMilliseconds(const google::protobuf::Duration& duration) {
-  return seconds(duration.seconds()) + milliseconds(duration.nanos() / 1000000);
+  constexpr int64_t kSecondsMax = 1 << 30;  // a peer may say any number
+  return seconds(std::clamp<int64_t>(duration.seconds(), -kSecondsMax, kSecondsMax)) +
+         milliseconds(duration.nanos() / 1000000);
 }
 
 // Whether a refusal before the Welcome would only repeat itself.
@@ -186,10 +188,13 @@ void SessionMachine::ForgetJob(const std::string& name) {
   }
   for (const uint64_t id : ids) EraseLease(id);
   jobs_.erase(name);
-  if (!building_.empty() && !build_cancelled_ && !ScenesInUse().contains(building_)) {
-    build_cancelled_ = true;
-    Emit(CancelBuild{});
-  }
+  CancelIdleBuild();
+}
+
+void SessionMachine::CancelIdleBuild() {
+  if (building_.empty() || build_cancelled_ || ScenesInUse().contains(building_)) return;
+  build_cancelled_ = true;
+  Emit(CancelBuild{});
 }
 
 void SessionMachine::On(const session_event::WriteDone& event) {
@@ -387,6 +392,7 @@ void SessionMachine::FinishDrain() {
       Decline(id, v1::DeclineLease::REASON_DRAINING, "the worker is leaving");
       EraseLease(id);
     }
+    CancelIdleBuild();
   }
   if (!leases_.empty() || !control_.empty() || !deltas_.empty() || write_in_flight_) return;
   phase_ = Phase::kClosing;

@@ -181,6 +181,7 @@ class SessionMachine {
   void SettleLease(uint64_t id, HeldLease& held);
   void SettleLeases();
   void ForgetJob(const std::string& name);
+  void CancelIdleBuild();  // that no lease waits for
 
   // Starts whatever may start now.
   void Advance();

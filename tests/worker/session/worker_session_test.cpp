@@ -266,6 +266,59 @@ TEST_F(WorkerSessionTest, AMissingAssetIsDeclined) {
   EXPECT_EQ(log.builds, 0);
 }
 
+TEST_F(WorkerSessionTest, ACorruptAssetIsDeclinedWithItsNameAndFetchedAgainLater) {
+  v1::AssetRef scene;
+  std::vector<v1::DeclineLease> declines;
+  v1::WorkerMessage message;
+  Start([&](int, Stream& stream) {
+    Welcome(stream);
+    SendJob(stream, "jobs/1", scene);
+    SendLease(stream, 1, "jobs/1", 0, 0);
+    EXPECT_TRUE(ReadUntil(stream, v1::WorkerMessage::kDecline, &message));
+    declines.push_back(message.decline());
+    server->CorruptAsset(scene);  // flips the bit back
+    SendLease(stream, 2, "jobs/1", 0, 0);
+    EXPECT_TRUE(ReadUntil(stream, v1::WorkerMessage::kDelta, &message));
+    session->Stop();
+    return grpc::Status::OK;
+  });
+  scene = server->AddAsset("box.glb", "scene");
+  server->CorruptAsset(scene);
+  EXPECT_TRUE(session->Run().ok());
+  ASSERT_EQ(declines.size(), 1u);
+  EXPECT_EQ(declines[0].reason(), v1::DeclineLease::REASON_ASSETS);
+  EXPECT_THAT(declines[0].detail(), HasSubstr("box.glb"));
+  EXPECT_EQ(message.delta().lease_id(), 2u);
+}
+
+TEST_F(WorkerSessionTest, AServerThatVanishesAmidDeltasGetsThemFromTheNextSession) {
+  v1::AssetRef scene;
+  std::map<uint64_t, int> deltas;
+  Start([&](int index, Stream& stream) {
+    Welcome(stream);
+    SendJob(stream, "jobs/1", scene);
+    for (uint64_t id = 1; id <= 8; ++id) SendLease(stream, id, "jobs/1", 0, 8 * (static_cast<int64_t>(id) - 1));
+    v1::WorkerMessage message;
+    if (index < 3) {  // gone while seven leases are rendered, queued and on the wire
+      EXPECT_TRUE(ReadUntil(stream, v1::WorkerMessage::kDelta, &message));
+      return grpc::Status(grpc::StatusCode::UNAVAILABLE, "vanished");
+    }
+    while (deltas.size() < 8 && ReadUntil(stream, v1::WorkerMessage::kDelta, &message)) {
+      ++deltas[message.delta().lease_id()];
+      EXPECT_EQ(message.delta().sample_begin(),
+                8 * (static_cast<int64_t>(message.delta().lease_id()) - 1))
+          << "a lease's number means another unit in another session";
+    }
+    session->Stop();
+    return grpc::Status::OK;
+  });
+  scene = server->AddAsset("box.glb", "scene");
+  EXPECT_TRUE(session->Run().ok());
+  EXPECT_EQ(deltas.size(), 8u);
+  for (const auto& [id, times] : deltas) EXPECT_EQ(times, 1) << id;
+  EXPECT_EQ(log.builds, 1);
+}
+
 TEST_F(WorkerSessionTest, FilesBeyondItsMemoryAreDeclinedUnfetched) {
   v1::AssetRef scene;
   v1::WorkerMessage message;
