@@ -1,5 +1,6 @@
 #include "client/cli/connect.h"
 
+#include <algorithm>
 #include <fstream>
 #include <iterator>
 
@@ -27,12 +28,22 @@ std::string HostOf(const std::string& address) {
 }
 
 absl::Status CheckAddress(const std::string& address) {
-  const size_t colon = address.rfind(':');
-  int port = 0;
-  if (colon == std::string::npos || colon == 0 ||
-      !absl::SimpleAtoi(address.substr(colon + 1), &port) || port < 1 || port > 65535) {
+  const auto bad = [&address](const std::string& why) {
     return absl::InvalidArgumentError(absl::StrCat(
-        "--server ", address, ": must be HOST:PORT such as 127.0.0.1:4242 or [::1]:4242"));
+        "--server ", address, ": ", why, ": give HOST:PORT such as 127.0.0.1:4242 or [::1]:4242"));
+  };
+  if (absl::StrContains(address, "://")) return bad("is a URL");
+  if (address.back() == ']' || !absl::StrContains(address, ':')) return bad("names no port");
+  const std::string host = HostOf(address);
+  const bool bracketed = host.size() > 2 && host.front() == '[' && host.back() == ']';
+  if (!bracketed && absl::StrContains(host, ':')) return bad("an IPv6 address needs brackets");
+  int port = 0;
+  if (!absl::SimpleAtoi(address.substr(host.size() + 1), &port) || port < 1 || port > 65535) {
+    return bad("its port is no number from 1 to 65535");
+  }
+  const auto is_name = [](char c) { return absl::ascii_isgraph(static_cast<unsigned char>(c)); };
+  if (host.empty() || !std::ranges::all_of(host, is_name) || absl::StrContains(host, '/')) {
+    return bad("names no host");
   }
   return absl::OkStatus();
 }
@@ -64,7 +75,10 @@ grpc::ChannelArguments ChannelArgs(bool loopback) {
 
 bool IsLoopback(const std::string& address) {
   const std::string host = HostOf(address);
-  return host == "localhost" || host == "[::1]" || absl::StartsWith(host, "127.");
+  // A name may begin with 127. too: only numbers are this machine's.
+  return host == "localhost" || host == "[::1]" ||
+         (absl::StartsWith(host, "127.") &&
+          host.find_first_not_of("0123456789.") == std::string::npos);
 }
 
 absl::StatusOr<Connection> Connect(const ConnectFlags& flags) {

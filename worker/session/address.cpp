@@ -26,7 +26,9 @@ absl::Status CheckAddress(std::string_view address, bool insecure) {
     return absl::InvalidArgumentError(
         absl::StrCat("'", shown, "' is not HOST:PORT, for example 127.0.0.1:4242"));
   }
-  const bool loopback = host == "localhost" || host == "::1" || host.starts_with("127.");
+  const bool loopback = host == "localhost" || host == "::1" ||
+                        (host.starts_with("127.") &&
+                         host.find_first_not_of("0123456789.") == std::string_view::npos);
   if (!loopback && !insecure) {
     return absl::InvalidArgumentError(
         absl::StrCat("plain text to another machine (", shown,

@@ -28,6 +28,7 @@ TEST(Connect, LoopbackNeedsNothing) {
 TEST(Connect, PlaintextLeavesThisMachineOnlyWithInsecure) {
   EXPECT_FALSE(IsLoopback("farm.example:4242"));
   EXPECT_FALSE(IsLoopback("128.0.0.1:4242"));
+  EXPECT_FALSE(IsLoopback("127.farm.example:4242"));
   EXPECT_THAT(ErrorOf({.server = "farm.example:4242"}), HasSubstr("--insecure"));
   EXPECT_TRUE(Connect({.server = "farm.example:4242", .insecure = true}).ok());
 }
@@ -36,6 +37,16 @@ TEST(Connect, BadAddressesAndCombinations) {
   for (const char* address : {"farm", "farm:", ":4242", "farm:0", "farm:65536", "farm:x"}) {
     EXPECT_THAT(ErrorOf({.server = address}), HasSubstr("HOST:PORT")) << address;
   }
+  for (const char* address : {"[::1]", "10.0.0.7", "farm"}) {
+    EXPECT_THAT(ErrorOf({.server = address}), HasSubstr("names no port")) << address;
+  }
+  for (const char* address : {"::1:4242", "fe80::1:4242", "::1"}) {
+    EXPECT_THAT(ErrorOf({.server = address}), HasSubstr("needs brackets")) << address;
+  }
+  for (const char* address : {"farm/x:4242", "two words:4242", "[]:4242", ":4242"}) {
+    EXPECT_THAT(ErrorOf({.server = address}), HasSubstr("HOST:PORT")) << address;
+  }
+  EXPECT_THAT(ErrorOf({.server = "https://farm:4242"}), HasSubstr("URL"));
   EXPECT_THAT(ErrorOf({}), HasSubstr("--server"));
   const ConnectFlags cert_only = {.server = "127.0.0.1:1", .cert = "c.pem"};
   EXPECT_THAT(ErrorOf(cert_only), HasSubstr("--cert and --key"));
