@@ -5,6 +5,7 @@
 #include "client/cli/command_line.h"
 #include "embedded/embedded_farm.h"
 #include "embedded/scene_description.h"
+#include "worker/integrator/path_tracer.h"
 
 int main(int argc, char** argv) {
   // stdout belongs to results; of the farm inside only what went wrong is worth a line.
@@ -12,5 +13,6 @@ int main(int argc, char** argv) {
   spdlog::set_level(spdlog::level::warn);
   return tessera::RunCommandLine(argc, argv,
                                  {.start_local_farm = tessera::StartEmbeddedFarm,
-                                  .describe_scene = tessera::DescribeScene});
+                                  .describe_scene = tessera::DescribeScene,
+                                  .isa_classes = tessera::SupportedIsaClasses()});
 }

@@ -26,24 +26,29 @@ absl::StatusOr<SceneDescription> DescribeScene(const std::string& path) {
   nlohmann::ordered_json& json = description.members;
   json["scene"] = path;
   json["renderable"] = summary->loadable.ok();
-  json["triangles"] = summary->triangles;
-  json["unique_triangles"] = summary->unique_triangles;
-  json["meshes"] = summary->meshes;
-  json["instances"] = summary->instances;
+  if (!summary->loadable.ok()) json["error"] = std::string(summary->loadable.message());
+  // What only a scene that loads tells is null for one that does not.
+  const auto add = [&](const char* key, const nlohmann::ordered_json& value) {
+    json[key] = summary->loadable.ok() ? value : nlohmann::ordered_json(nullptr);
+  };
+  add("triangles", summary->triangles);
+  add("unique_triangles", summary->unique_triangles);
+  add("meshes", summary->meshes);
+  add("instances", summary->instances);
   json["materials"] = summary->materials;
-  json["textures"] = summary->textures;
-  json["texture_bytes"] = summary->texture_bytes;
-  json["punctual_lights"] = summary->punctual_lights;
-  json["emissive_triangles"] = summary->emissive_triangles;
+  add("textures", summary->textures);
+  add("texture_bytes", summary->texture_bytes);
+  add("punctual_lights", summary->punctual_lights);
+  add("emissive_triangles", summary->emissive_triangles);
   json["cameras"] = summary->cameras;
-  json["bounds_min"] = Vector(summary->bounds_min);
-  json["bounds_max"] = Vector(summary->bounds_max);
-  json["memory_bytes"] = summary->memory_bytes;
-  json["features"] = summary->features;
+  add("bounds_min", Vector(summary->bounds_min));
+  add("bounds_max", Vector(summary->bounds_max));
+  add("memory_bytes", summary->memory_bytes);
+  add("features", summary->features);
   json["extensions_used"] = summary->extensions_used;
   json["extensions_required"] = summary->extensions_required;
   json["extensions_unsupported"] = summary->extensions_unsupported;
-  json["notes"] = summary->notes;
+  add("notes", summary->notes);
   return description;
 }
 

@@ -7,16 +7,30 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "client/cli/commands.h"
 #include "client/cli/completion.h"
 #include "client/cli/exit_code.h"
 #include "client/cli/flags.h"
+#include "core/base/isa_classes.h"
 #include "core/base/version.h"
 #include "core/denoise/denoiser.h"
 #include "core/image/layers.h"
 
 namespace tessera {
 namespace {
+
+std::vector<std::string> LayerNames() {
+  std::vector<std::string> names;
+  for (const PictureLayer& layer : PictureLayers()) names.emplace_back(layer.name);
+  return names;
+}
+
+std::string DenoiserHelp() {
+  const std::vector<std::string> names = DenoiserNames();
+  return absl::StrCat("Filter of the final picture: ", absl::StrJoin(names, ", "), " (",
+                      names.front(), ")");
+}
 
 void AddConnectFlags(CLI::App* command, ConnectFlags* flags) {
   const std::string group = "Server";
@@ -37,8 +51,10 @@ void AddOutputFlags(CLI::App* command, OutputFlags* flags) {
       ->group(group);
   command
       ->add_option("--layers", flags->layers,
-                   "Layers of EXR files, comma-separated, or all (default), or film: all that a "
-                   "render can be continued and denoised from")
+                   absl::StrCat("Layers of EXR files, comma-separated: ",
+                                absl::StrJoin(LayerNames(), ", "),
+                                "; or all (default); or film: all, and what a render can be "
+                                "continued and denoised from"))
       ->group(group);
   command->add_option("--exposure", flags->exposure, "Stops by which PNG files are brightened")
       ->group(group);
@@ -67,17 +83,22 @@ void AddSceneFlags(CLI::App* command, SceneFlags* flags) {
   add("Sampling", "--max-time", &flags->max_time, "Stop after so many seconds");
   add("Sampling", "--max-depth", &flags->max_depth, "Bounces after the camera hit (8)");
   add("Sampling", "--seed", &flags->seed, "Another seed, another noise (0)");
-  add("Sampling", "--isa", &flags->isa, "Instruction set that decides the bits (x86-64-v3)");
+  add("Sampling", "--isa", &flags->isa,
+      absl::StrCat("Instruction set that decides the bits: ", absl::StrJoin(kIsaClasses, ", "),
+                   " (", std::string(kIsaClasses.front()), ")"));
   add("Light", "--env", &flags->env, "Environment map, latitude-longitude .hdr or .exr");
   add("Light", "--env-rotate", &flags->env_rotate, "Degrees by which it is turned about y");
   add("Light", "--sky", &flags->sky, "R,G,B: uniform sky radiance");
   command->add_flag("--transparent", flags->transparent, "Alpha 0 where the sky is seen")
       ->group("Light");
-  add("Serving", "--denoiser", &flags->denoiser, "Filter of the final picture, or none");
+  add("Serving", "--denoiser", &flags->denoiser, DenoiserHelp());
   add("Serving", "--quality", &flags->quality, "preview or final (final)");
   add("Serving", "--priority", &flags->priority, "Higher is rendered first (0)");
   add("Sampling", "--continue", &flags->continue_film,
       "FILM.exr whose samples are taken up; flags that are not given come from it");
+  add("Sampling", "--replay", &flags->replay,
+      "PICTURE.exr that is rendered again, sample for sample: the same digest; flags that are not "
+      "given come from it");
 }
 
 void AddJobFlags(CLI::App* command, JobFlags* flags, bool names_job) {
@@ -96,6 +117,14 @@ class CommandTable {
     AddRenderCommands();
     AddJobCommands();
     AddFileCommands();
+    // An empty value is an unset variable of a script: it must not pass for a flag not given.
+    const CLI::Validator not_empty(
+        [](std::string& value) { return value.empty() ? "its value is empty" : ""; }, "");
+    for (CLI::App* command : app_.get_subcommands([](const CLI::App*) { return true; })) {
+      for (CLI::Option* option : command->get_options()) {
+        if (option->get_expected_max() > 0) option->check(not_empty);
+      }
+    }
   }
 
   CLI::App& app() { return app_; }
@@ -160,7 +189,7 @@ class CommandTable {
     denoise->add_option("film", denoise_.inputs, "FILM.exr, or HALF_A.exr HALF_B.exr")
         ->required()
         ->expected(1, 2);
-    denoise->add_option("--denoiser", denoise_.denoiser, "Filter, or none");
+    denoise->add_option("--denoiser", denoise_.denoiser, DenoiserHelp());
     denoise->add_option("--quality", denoise_.quality, "preview or final (final)");
     denoise->add_flag("--json", denoise_.json, "The outputs as one JSON object on stdout");
     AddOutputFlags(denoise, &denoise_.output);
@@ -195,10 +224,11 @@ class CommandTable {
       commands.push_back(std::move(completed));
     }
     std::vector<std::string> layers = {"all", "film"};
-    for (const PictureLayer& layer : PictureLayers()) layers.emplace_back(layer.name);
+    for (const std::string& layer : LayerNames()) layers.push_back(layer);
     const std::string script =
         BashCompletion(commands, {{"--quality", {"preview", "final"}},
                                   {"--denoiser", DenoiserNames()},
+                                  {"--isa", {kIsaClasses.begin(), kIsaClasses.end()}},
                                   {"--layers", layers}});
     std::fputs(script.c_str(), stdout);
     return absl::OkStatus();

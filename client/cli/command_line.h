@@ -4,6 +4,7 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <grpcpp/channel.h>
 #include <nlohmann/json.hpp>
@@ -37,6 +38,7 @@ struct CommandLineParts {
       start_local_farm;
   // What a scene file needs, for `tessera info`. Errors: the file is no glTF at all.
   std::function<absl::StatusOr<SceneDescription>(const std::string& path)> describe_scene;
+  std::vector<std::string> isa_classes;  // that this machine runs
 };
 
 // Runs one command and returns its exit code (exit_code.h). Errors go to stderr as one line.

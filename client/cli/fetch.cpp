@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "client/cli/commands.h"
+#include "client/cli/interrupt.h"
 #include "client/cli/job_command.h"
 #include "client/cli/job_text.h"
 #include "client/cli/outputs.h"
@@ -29,10 +30,11 @@ absl::Status RunFetch(const FetchFlags& flags) {
   }
   const absl::StatusOr<std::unique_ptr<FarmClient>> client = ConnectToFarm(flags.connect);
   if (!client.ok()) return client.status();
+  InterruptScope interrupt;
   const absl::StatusOr<v1::Job> job = (*client)->GetJob(*name);
   if (!job.ok()) return job.status();
   const absl::StatusOr<std::vector<std::string>> paths =
-      FetchAndWrite(**client, *job, *plan, region, /*wait_for_filter=*/true);
+      FetchAndWrite(**client, *job, *plan, region, /*wait_for_filter=*/true, interrupt.token());
   if (!paths.ok()) return paths.status();
   if (flags.json) {
     nlohmann::ordered_json json = JobJson(*job);

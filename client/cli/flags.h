@@ -48,6 +48,7 @@ struct SceneFlags {
   std::string quality;
   std::string priority;
   std::string continue_film;
+  std::string replay;
 };
 
 struct RenderFlags {

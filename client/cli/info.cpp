@@ -13,6 +13,8 @@ namespace {
 using nlohmann::ordered_json;
 
 std::string ValueText(const ordered_json& value) {
+  if (value.is_null()) return "unknown";
+  if (value.is_boolean()) return value.get<bool>() ? "yes" : "no";
   return value.is_string() ? value.get<std::string>()
                            : value.dump(-1, ' ', false, ordered_json::error_handler_t::replace);
 }
@@ -37,7 +39,10 @@ absl::Status RunInfo(const InfoFlags& flags, const CommandLineParts& parts) {
   if (flags.json) {
     PrintJson(description->members);
   } else {
-    for (const auto& [key, value] : description->members.items()) PrintMember(key, value);
+    for (const auto& [key, value] : description->members.items()) {
+      if (key != "error") PrintMember(key, value);  // goes to stderr
+    }
+    std::fflush(stdout);
   }
   return description->renderable;
 }

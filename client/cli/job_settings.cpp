@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "client/cli/parse_values.h"
+#include "core/base/isa_classes.h"
 #include "core/denoise/denoiser.h"
 
 namespace tessera {
@@ -151,6 +152,13 @@ void ReadServing(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* s
     }
     settings->set_denoiser(flags.denoiser);
   }
+  if (!flags.isa.empty()) {
+    if (std::find(kIsaClasses.begin(), kIsaClasses.end(), flags.isa) == kIsaClasses.end()) {
+      reader->Fail(absl::StrCat("--isa ", flags.isa, ": must be one of ",
+                                absl::StrJoin(kIsaClasses, ", ")));
+    }
+    settings->set_isa(flags.isa);
+  }
   if (flags.quality == "preview") {
     settings->set_quality(v1::QUALITY_PREVIEW);
   } else if (flags.quality == "final") {
@@ -201,6 +209,7 @@ absl::StatusOr<v1::JobSettings> SettingsFromFlags(const SceneFlags& flags,
   v1::JobSettings settings;
   if (film != nullptr) {
     settings = *film;
+    settings.clear_replay();
     TakeUpBudget(flags, &settings);
   } else {
     settings.set_width(640);
@@ -214,7 +223,6 @@ absl::StatusOr<v1::JobSettings> SettingsFromFlags(const SceneFlags& flags,
   ReadFrame(flags, &reader, &settings);
   ReadBudget(flags, &reader, &settings);
   ReadServing(flags, &reader, &settings);
-  if (!flags.isa.empty()) settings.set_isa(flags.isa);
   if (flags.transparent) settings.set_transparent(true);
   if (!reader.status().ok()) return reader.status();
   return settings;
@@ -234,7 +242,8 @@ void SetAssets(const SceneAssets& assets, v1::JobSettings* settings) {
   }
 }
 
-absl::Status CheckContinues(const v1::JobSettings& film, const v1::JobSettings& job) {
+absl::Status CheckContinues(const std::string& flag, const v1::JobSettings& film,
+                            const v1::JobSettings& job) {
   using google::protobuf::util::MessageDifferencer;
   std::vector<std::string> differences;
   if (!SameAssets(film, job)) differences.push_back("the scene's files");
@@ -266,7 +275,7 @@ absl::Status CheckContinues(const v1::JobSettings& film, const v1::JobSettings& 
   if (film.transparent() != job.transparent()) differences.push_back("--transparent");
   if (differences.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(
-      absl::StrCat("--continue: the film was rendered with other settings: ",
+      absl::StrCat(flag, ": the film was rendered with other settings: ",
                    absl::StrJoin(differences, ", "),
                    "; repeat the film's, or leave the flags away to take them from it"));
 }

@@ -65,14 +65,14 @@ absl::Status WriteTargets(FarmClient& client, const v1::Job& job, const OutputPl
     if (!fetched.ok()) return fetched.status();
     film = *std::move(fetched);
   }
+  // What one full disk refuses another may take: every file is tried.
+  absl::Status status;
   for (const OutputTarget& target : plan.targets) {
-    const absl::Status written =
-        target.format == OutputFormat::kPng ? WritePng(target.path, image, plan.display)
-        : plan.film                         ? WriteFilmFile(target.path, film, image)
-                                            : WriteExr(target.path, image);
-    if (!written.ok()) return written;
+    status.Update(target.format == OutputFormat::kPng ? WritePng(target.path, image, plan.display)
+                  : plan.film                         ? WriteFilmFile(target.path, film, image)
+                                                      : WriteExr(target.path, image));
   }
-  return absl::OkStatus();
+  return status;
 }
 
 std::vector<std::string> AllLayers() {

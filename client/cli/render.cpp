@@ -1,6 +1,7 @@
 // tessera render SCENE -o OUT: one job from scene to files, in this process or on a server.
 // Ctrl-C cancels the job and writes what there is; in this process also a film that --continue
 // takes up, for nothing else remembers the samples.
+#include <algorithm>
 #include <chrono>
 #include <cstdio>
 #include <memory>
@@ -10,15 +11,18 @@
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "client/cli/commands.h"
 #include "client/cli/connect.h"
 #include "client/cli/interrupt.h"
 #include "client/cli/job_command.h"
+#include "client/cli/job_text.h"
 #include "client/cli/outputs.h"
 #include "client/cli/parse_values.h"
 #include "client/cli/progress_bar.h"
 #include "client/cli/render_result.h"
 #include "client/cli/scene_submission.h"
+#include "core/base/isa_classes.h"
 
 namespace tessera {
 namespace {
@@ -36,6 +40,8 @@ class RenderCommand {
     plan_ = *std::move(plan);
     const absl::StatusOr<SceneSubmission> submission = PrepareSubmission(flags_.scene);
     if (!submission.ok()) return submission.status();
+    replay_digest_ = submission->replay_digest;
+    if (absl::Status isa = CheckIsa(submission->settings.isa()); !isa.ok()) return isa;
     const absl::Status connected = ConnectOrStartFarm();
     if (!connected.ok()) return connected;
     absl::StatusOr<v1::Job> job = Submit(*client_, *submission, &progress_, interrupt_.token());
@@ -52,6 +58,18 @@ class RenderCommand {
   }
 
  private:
+  // Without a server there is no other machine to wait for.
+  absl::Status CheckIsa(const std::string& isa) const {
+    const std::vector<std::string>& here = parts_.isa_classes;
+    const std::string wanted = isa.empty() ? std::string(kIsaClasses.front()) : isa;
+    if (!flags_.connect.server.empty() || std::ranges::find(here, wanted) != here.end()) {
+      return absl::OkStatus();
+    }
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--isa ", wanted, ": this machine cannot run it, only ", absl::StrJoin(here, ", "),
+        ": drop the flag, or render on a farm with --server"));
+  }
+
   absl::Status ConnectOrStartFarm() {
     if (!flags_.connect.server.empty()) {
       if (!flags_.threads.empty()) {
@@ -100,9 +118,29 @@ class RenderCommand {
     absl::StatusOr<std::vector<std::string>> paths =
         FetchAndWrite(*client_, job, plan_, PixelRect(), /*wait_for_filter=*/true);
     progress_.Clear();
-    if (!paths.ok()) return paths.status();
+    if (!paths.ok()) return WithFetchRemedy(paths.status());
     Report(job, *std::move(paths));
-    return absl::OkStatus();
+    return CheckReplayed(job);
+  }
+
+  // A server still has the picture that could not be written.
+  absl::Status WithFetchRemedy(const absl::Status& status) const {
+    if (farm_ != nullptr) return status;
+    return absl::Status(status.code(), absl::StrCat(status.message(), "; ", FetchCommand(),
+                                                    " gets the picture"));
+  }
+  std::string FetchCommand() const {
+    return absl::StrCat("'tessera fetch ", name_, " -o OUT --server ", flags_.connect.server, "'");
+  }
+
+  // Only another scene behind the same name, a damaged file or a broken machine can fail this.
+  absl::Status CheckReplayed(const v1::Job& job) const {
+    if (replay_digest_.empty() || DigestText(job) == replay_digest_) return absl::OkStatus();
+    return absl::DataLossError(
+        absl::StrCat("--replay ", flags_.scene.replay, ": its digest is ",
+                     replay_digest_.substr(0, 16), ", the replay's is ",
+                     DigestText(job).substr(0, 16), ": the file was changed, or a machine that "
+                     "rendered one of them computes wrong"));
   }
 
   // After Ctrl-C: the job ends, then what it has is written. A second Ctrl-C ends all this.
@@ -126,8 +164,8 @@ class RenderCommand {
     clock_.OnChange(job, std::chrono::steady_clock::now());
     absl::StatusOr<std::vector<std::string>> paths =
         FetchAndWrite(*client_, job, plan_, PixelRect(), /*wait_for_filter=*/true);
-    if (!paths.ok()) return paths.status();
-    std::string remedy = absl::StrCat("'tessera fetch ", job.name(), "' gets it again");
+    if (!paths.ok()) return WithFetchRemedy(paths.status());
+    std::string remedy = absl::StrCat(FetchCommand(), " gets it again");
     if (farm_ != nullptr) {
       std::string film = plan_.film && plan_.HasExr() ? std::string() : FilmPathBeside(plan_);
       if (film.empty()) {
@@ -166,6 +204,7 @@ class RenderCommand {
   std::unique_ptr<LocalFarm> farm_;  // null with --server; stopped before interrupt_ goes
   std::unique_ptr<FarmClient> client_;
   std::string name_;  // of the job
+  std::string replay_digest_;  // that --replay must give; empty = any
   bool noted_scene_ = false;
   bool noted_waiting_ = false;
 };

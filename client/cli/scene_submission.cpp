@@ -1,12 +1,13 @@
 #include "client/cli/scene_submission.h"
 
 #include <algorithm>
-#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/film_settings.h"
+#include "client/cli/flag_names.h"
 #include "client/cli/job_settings.h"
+#include "client/cli/replay.h"
 
 namespace tessera {
 namespace {
@@ -34,44 +35,80 @@ absl::StatusOr<FilmToContinue> ReadFilm(const std::string& path) {
   return film;
 }
 
-}  // namespace
+// What the flags begin from: a film or a picture to replay.
+absl::Status CheckStart(const SceneFlags& flags, const std::string& flag,
+                        const v1::JobSettings& film) {
+  const std::string& map_name = film.environment().map_name();
+  if (map_name.empty() || !flags.env.empty() || !flags.sky.empty()) return absl::OkStatus();
+  return absl::InvalidArgumentError(absl::StrCat(
+      flag, ": the film was lit by the environment map ", map_name, ": name the file with --env"));
+}
 
-absl::StatusOr<SceneSubmission> PrepareSubmission(const SceneFlags& flags) {
-  std::optional<FilmToContinue> film;
-  if (!flags.continue_film.empty()) {
-    absl::StatusOr<FilmToContinue> read = ReadFilm(flags.continue_film);
-    if (!read.ok()) return read.status();
-    film = *std::move(read);
-    const std::string& map_name = film->settings.environment().map_name();
-    if (!map_name.empty() && flags.env.empty() && flags.sky.empty()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("--continue: the film was lit by the environment map ", map_name,
-                       ": name the file with --env"));
-    }
-  }
-  absl::StatusOr<v1::JobSettings> settings =
-      SettingsFromFlags(flags, film.has_value() ? &film->settings : nullptr);
+absl::StatusOr<SceneSubmission> CollectFiles(const SceneFlags& flags, v1::JobSettings settings) {
+  absl::StatusOr<SceneAssets> assets = CollectAssets(flags.scene, flags.env);
+  if (!assets.ok()) return assets.status();
+  SceneSubmission submission;
+  SetAssets(*assets, &settings);
+  submission.settings = std::move(settings);
+  submission.files = std::move(assets->files);
+  return submission;
+}
+
+absl::StatusOr<SceneSubmission> PrepareContinued(const SceneFlags& flags) {
+  const absl::StatusOr<FilmToContinue> film = ReadFilm(flags.continue_film);
+  if (!film.ok()) return film.status();
+  absl::Status status = CheckStart(flags, "--continue", film->settings);
+  if (!status.ok()) return status;
+  const absl::StatusOr<v1::JobSettings> settings = SettingsFromFlags(flags, &film->settings);
   if (!settings.ok()) return settings.status();
-  if (film.has_value() && settings->spp() < film->samples_end) {
+  if (settings->spp() < film->samples_end) {
     return absl::InvalidArgumentError(
         absl::StrCat("--spp ", settings->spp(), ": the film has up to ", film->samples_end,
                      " samples per pixel already; ask for at least as many"));
   }
-  absl::StatusOr<SceneAssets> assets = CollectAssets(flags.scene, flags.env);
-  if (!assets.ok()) return assets.status();
-  SceneSubmission submission;
-  SetAssets(*assets, &*settings);
-  submission.settings = *std::move(settings);
-  submission.files = std::move(assets->files);
-  if (film.has_value()) {
-    const absl::Status continues = CheckContinues(film->settings, submission.settings);
-    if (!continues.ok()) return continues;
-    absl::StatusOr<AssetFile> file = HashFile(flags.continue_film, flags.continue_film);
-    if (!file.ok()) return file.status();
-    submission.continue_film_sha256 = ToBytes(file->sha256);
-    submission.files.push_back(*std::move(file));
-  }
+  absl::StatusOr<SceneSubmission> submission = CollectFiles(flags, *settings);
+  if (!submission.ok()) return submission;
+  status = CheckContinues("--continue", film->settings, submission->settings);
+  if (!status.ok()) return status;
+  absl::StatusOr<AssetFile> file = HashFile(flags.continue_film, flags.continue_film);
+  if (!file.ok()) return file.status();
+  submission->continue_film_sha256 = ToBytes(file->sha256);
+  submission->files.push_back(*std::move(file));
   return submission;
+}
+
+absl::StatusOr<SceneSubmission> PrepareReplay(const SceneFlags& flags) {
+  for (const auto& [flag, value] :
+       {std::pair{"--spp", &flags.spp}, std::pair{"--target-error", &flags.target_error},
+        std::pair{"--max-time", &flags.max_time}, std::pair{"--continue", &flags.continue_film}}) {
+    if (value->empty()) continue;
+    return absl::InvalidArgumentError(absl::StrCat(
+        flag, ": a replay has the samples of its picture, no more and no less: drop it"));
+  }
+  const absl::StatusOr<ReplayedPicture> picture = ReadReplayedPicture(flags.replay);
+  if (!picture.ok()) return picture.status();
+  absl::Status status = CheckStart(flags, "--replay", picture->settings);
+  if (!status.ok()) return status;
+  absl::StatusOr<v1::JobSettings> settings = SettingsFromFlags(flags, &picture->settings);
+  if (!settings.ok()) return settings.status();
+  status = SetReplay(*picture, &*settings);
+  if (!status.ok()) return status;
+  absl::StatusOr<SceneSubmission> submission = CollectFiles(flags, *settings);
+  if (!submission.ok()) return submission;
+  status = CheckContinues("--replay", picture->settings, submission->settings);
+  if (!status.ok()) return status;
+  submission->replay_digest = picture->digest;
+  return submission;
+}
+
+}  // namespace
+
+absl::StatusOr<SceneSubmission> PrepareSubmission(const SceneFlags& flags) {
+  if (!flags.replay.empty()) return PrepareReplay(flags);
+  if (!flags.continue_film.empty()) return PrepareContinued(flags);
+  const absl::StatusOr<v1::JobSettings> settings = SettingsFromFlags(flags, nullptr);
+  if (!settings.ok()) return settings.status();
+  return CollectFiles(flags, *settings);
 }
 
 absl::StatusOr<v1::Job> Submit(FarmClient& client, const SceneSubmission& submission,
@@ -83,8 +120,10 @@ absl::StatusOr<v1::Job> Submit(FarmClient& client, const SceneSubmission& submis
     if (!uploaded.ok()) return uploaded.status();
     absl::StatusOr<v1::Job> job =
         client.CreateJob(submission.settings, submission.continue_film_sha256);
-    if (job.ok() || !absl::IsFailedPrecondition(job.status()) || attempt == kSubmitAttempts) {
-      return job;
+    if (job.ok()) return job;
+    if (!absl::IsFailedPrecondition(job.status()) || attempt == kSubmitAttempts) {
+      return absl::Status(job.status().code(),
+                          WithFlagNames(std::string(job.status().message())));
     }
   }
 }

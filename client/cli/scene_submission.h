@@ -17,6 +17,8 @@ struct SceneSubmission {
   v1::JobSettings settings;
   std::vector<AssetFile> files;     // the film last, with --continue
   std::string continue_film_sha256;  // raw bytes; empty without
+  // --replay: the digest that the replay must have, hexadecimal; empty if none is recorded.
+  std::string replay_digest;
 };
 
 // Reads and checks everything that can be checked without a server.

@@ -4,6 +4,7 @@
 #include <nlohmann/json.hpp>
 
 #include "client/cli/commands.h"
+#include "client/cli/interrupt.h"
 #include "client/cli/job_command.h"
 #include "client/cli/job_text.h"
 #include "client/cli/progress_bar.h"
@@ -16,8 +17,9 @@ absl::Status RunSubmit(const RenderFlags& flags) {
   if (!client.ok()) return client.status();
   const absl::StatusOr<SceneSubmission> submission = PrepareSubmission(flags.scene);
   if (!submission.ok()) return submission.status();
+  InterruptScope interrupt;
   ProgressBar progress(flags.quiet);
-  const absl::StatusOr<v1::Job> job = Submit(**client, *submission, &progress, {});
+  const absl::StatusOr<v1::Job> job = Submit(**client, *submission, &progress, interrupt.token());
   progress.Clear();
   if (!job.ok()) return job.status();
   if (flags.json) {

@@ -3,6 +3,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "absl/strings/str_cat.h"
 #include "client/cli/commands.h"
 #include "client/cli/interrupt.h"
 #include "client/cli/job_command.h"
@@ -22,6 +23,9 @@ absl::Status RunWatch(const JobFlags& flags) {
       (*client)->Watch(*name, [&](const v1::Job& now) { progress.ShowJob(now); },
                        std::chrono::milliseconds(200), interrupt.token());
   progress.Clear();
+  if (absl::IsCancelled(job.status())) {
+    return absl::CancelledError(absl::StrCat("interrupted: ", *name, " goes on"));
+  }
   if (!job.ok()) return job.status();
   if (flags.json) {
     PrintJson(JobJson(*job));

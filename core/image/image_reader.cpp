@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/strings/match.h"
+#include "absl/strings/str_cat.h"
 #include "core/image/display_transform.h"
 #include "core/image/image_input.h"
 
@@ -114,6 +115,39 @@ absl::StatusOr<Image> ReadImage(const std::string& path, const ImageReadLimits& 
   }
   if (opened->format == "png") Linearise(&image);
   CopyGreyToColor(&image);
+  return image;
+}
+
+absl::StatusOr<Image> ReadUintChannel(const std::string& path, const std::string& channel,
+                                      const ImageReadLimits& limits) {
+  constexpr int kRowsAtOnce = 64;
+  const absl::StatusOr<OpenedImage> opened = OpenImage(path, limits);
+  if (!opened.ok()) return opened.status();
+  const OIIO::ImageSpec& spec = opened->input->spec();
+  const int index = spec.channelindex(channel);
+  if (opened->format != "openexr" || spec.tile_width != 0 || index < 0 ||
+      spec.channelformat(index) != OIIO::TypeDesc::UINT) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(path, ": the image has no integer channel '", channel, "'"));
+  }
+  Image image;
+  image.data_window = DataWindow(spec);
+  image.display_window = DisplayWindow(spec);
+  image.metadata = ReadMetadata(spec);
+  image.channels.resize(1);
+  image.channels[0].name = channel;
+  image.channels[0].is_uint = true;
+  image.channels[0].uints.resize(static_cast<size_t>(image.data_window.area()));
+  uint32_t* rows = image.channels[0].uints.data();
+  const PixelRect& window = image.data_window;
+  for (int y = window.y_begin; y < window.y_end; y += kRowsAtOnce) {
+    const int y_end = std::min(y + kRowsAtOnce, window.y_end);
+    if (!opened->input->read_scanlines(0, 0, y, y_end, 0, index, index + 1,
+                                       OIIO::TypeDesc::UNKNOWN, rows)) {
+      return DamagedImage(path, opened->input->geterror());
+    }
+    rows += static_cast<ptrdiff_t>(y_end - y) * window.width();
+  }
   return image;
 }
 

@@ -23,4 +23,11 @@ struct ImageReadLimits {
 // large. Each names the file and what to do.
 absl::StatusOr<Image> ReadImage(const std::string& path, const ImageReadLimits& limits = {});
 
+// Reads one integer channel of an EXR file, in bands: of a film with hundreds of channels no other
+// is kept in memory. The image has that channel and all metadata.
+// Errors: FAILED_PRECONDITION  the file has no such channel, or not of integers; and as ReadImage.
+absl::StatusOr<Image> ReadUintChannel(const std::string& path, const std::string& channel,
+                                      const ImageReadLimits& limits = {.values_max = int64_t{1}
+                                                                                     << 32});
+
 }  // namespace tessera

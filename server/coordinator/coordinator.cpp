@@ -34,7 +34,7 @@ StepResult Coordinator::Step(Event event, Instant now) {
   std::visit([this](auto& e) { On(e); }, event);
   ExpireLeases();
   GrantAll();
-  if (waiting_changed_) UpdateWaiting();
+  UpdateWaiting();
   return std::move(result_);
 }
 
@@ -48,6 +48,8 @@ void Coordinator::On(TickEvent&) {
     }
   }
   for (auto& [session, worker] : workers_) {
+    std::erase_if(worker->retry_assets_ms,
+                  [this](const auto& retry) { return retry.second <= now_.monotonic_ms; });
     if (worker->leases.empty() && !IsSilent(*worker)) Race(*worker);
   }
   waiting_changed_ = true;

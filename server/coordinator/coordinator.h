@@ -115,6 +115,7 @@ class Coordinator {
   void StopWork(Job& job);
   void Touch(Job& job);
   void Save(Job& job, bool with_film);
+  int64_t SamplesTotal(const Job& job) const;  // while it has a queue
   void UpdateProgress(Job& job);
   void DropStoredFilm(Job& job);
 
@@ -143,8 +144,11 @@ class Coordinator {
   void ExpireLeases();
   bool IsSilent(const Worker& worker) const;
   bool FitsMemory(const Job& job) const;
+  void CountFilm(Job& job);
   void UpdateWaiting();
+  void UpdateWaitingOf(Job& job);
   std::string WaitingReason(const Job& job) const;
+  std::string ReasonOfWorkers(const Job& job) const;
 
   CoordinatorConfig config_;
   Instant now_;
@@ -156,7 +160,9 @@ class Coordinator {
   uint64_t next_worker_ = 1;
   std::map<JobId, std::unique_ptr<Job>> jobs_;
   std::set<std::pair<int, JobId>> order_;  // (-priority, job) of jobs that want leases
-  bool waiting_changed_ = false;           // some job's reason to wait may have changed
+  int64_t film_bytes_ = 0;                 // of the jobs that hold films in memory
+  bool waiting_changed_ = false;           // any job's reason to wait may have changed
+  std::set<JobId> waiting_changed_of_;     // these jobs' reasons may have
   std::map<SessionId, std::unique_ptr<Worker>> workers_;
   std::map<LeaseId, Lease> leases_;
   std::set<std::pair<int64_t, LeaseId>> expiries_;  // (expires_ms, lease)

@@ -1,8 +1,11 @@
 // What clients do to jobs, and a job's states.
+#include <algorithm>
+
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/coordinator.h"
 #include "server/coordinator/coordinator_state.h"
 #include "server/coordinator/limits.h"
+#include "server/coordinator/sample_counts.h"
 
 namespace tessera {
 namespace {
@@ -88,6 +91,13 @@ void Coordinator::On(CreateJobEvent& event) {
     result_.status = settings.status();
     return;
   }
+  if (settings->has_replay() && settings->replay().version() != config_.version) {
+    result_.status = absl::InvalidArgumentError(absl::StrCat(
+        "settings.replay: the picture was rendered by version ",
+        settings->replay().version().substr(0, 64), ", this is version ", config_.version,
+        ", which may draw other bits: replay it with the version that rendered it"));
+    return;
+  }
   auto job = std::make_unique<Job>();
   job->id = next_job_++;
   job->request_id = event.request_id;
@@ -109,6 +119,7 @@ void Coordinator::On(CreateJobEvent& event) {
   result_.job = job->id;
   result_.is_new = true;
   Job& added = *jobs_.emplace(job->id, std::move(job)).first->second;
+  CountFilm(added);
   int64_t asset_bytes = 0;
   for (const v1::AssetRef& asset : added.record.settings().assets()) {
     asset_bytes += asset.size_bytes();
@@ -144,6 +155,7 @@ void Coordinator::On(RestoreJobEvent& event) {
   result_.job = job->id;
   job->spent_ms = MsOf(job->record.progress().work_time());
   Job& added = *jobs_.emplace(*id, std::move(job)).first->second;
+  CountFilm(added);
   Touch(added);
   if (added.IsTerminal()) {
     added.film_final_stored = true;
@@ -192,6 +204,7 @@ void Coordinator::On(FilmStoredEvent& event) {
 void Coordinator::DropStoredFilm(Job& job) {
   if (!job.film_final_stored || !job.IsTerminal()) return;
   job.film = std::make_shared<Film>(job.grid);
+  CountFilm(job);
   waiting_changed_ = true;
 }
 
@@ -199,11 +212,24 @@ void Coordinator::StartQueue(Job& job) {
   const v1::JobSettings& s = job.record.settings();
   const bool may_stop_early = s.target_error() > 0 || s.has_max_time();
   const SampleSchedule schedule(s.spp(), int64_t{s.tile_size()} * s.tile_size(), may_stop_early);
-  std::vector<int64_t> committed(static_cast<size_t>(job.grid.num_tiles()));
-  for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) {
-    committed[static_cast<size_t>(tile)] = job.film->CommittedEnd(tile);
+  // Thousands of jobs may wait for their turn: only one that has begun pays for its tiles.
+  std::vector<int64_t> committed;
+  if (job.film->samples() > 0) {
+    committed.resize(static_cast<size_t>(job.grid.num_tiles()));
+    for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) {
+      committed[static_cast<size_t>(tile)] = job.film->CommittedEnd(tile);
+    }
   }
-  job.queue = std::make_unique<TileQueue>(schedule, std::move(committed));
+  if (s.has_replay()) {
+    job.replay_samples = 0;
+    int64_t tile = 0;
+    for (const int64_t samples : ExpandCounts(s.replay().counts())) {
+      job.replay_samples += samples * job.grid.WindowOf(tile++).area();
+    }
+  }
+  job.queue = std::make_unique<TileQueue>(
+      schedule, job.grid.num_tiles(), std::move(committed),
+      s.has_replay() ? ExpandCounts(s.replay().counts()) : std::vector<int64_t>());
   job.start_spp = job.queue->committed_spp();
   job.saved_film_ms = now_.monotonic_ms;
   UpdateProgress(job);
@@ -263,11 +289,13 @@ absl::Status Coordinator::Resume(Job& job) {
 
 absl::Status Coordinator::Cancel(Job& job) {
   if (job.IsTerminal() || job.record.state() == v1::JOB_STATE_FINISHING) return absl::OkStatus();
+  StopWork(job);
+  job.film->DropWaiting();
+  CountFilm(job);
   if (job.film->samples() > 0) {
     Finish(job, v1::STOP_REASON_CANCELLED);
     return absl::OkStatus();
   }
-  StopWork(job);
   job.queue.reset();
   job.record.set_stop_reason(v1::STOP_REASON_CANCELLED);
   SetState(job, v1::JOB_STATE_CANCELLED);
@@ -279,13 +307,21 @@ void Coordinator::Delete(JobId id) {
   Job& job = *jobs_.at(id);
   SetState(job, v1::JOB_STATE_CANCELLED);
   StopWork(job);
+  if (job.holds_film) film_bytes_ -= FilmBytesOf(job.grid);
+  for (auto& [session, worker] : workers_) worker->retry_assets_ms.erase(id);
   jobs_.erase(id);
   result_.effects.emplace_back(RemoveJobEffect{id});
 }
 
+// The film ends with what each tile has without a gap. Where a job was cut short that differs from
+// tile to tile, and is written into its record: a replay asks for just these samples (C2).
 void Coordinator::Finish(Job& job, v1::StopReason reason) {
   StopWork(job);
+  job.film->DropWaiting();
   job.queue.reset();
+  UpdateProgress(job);
+  v1::SampleCounts counts = CountsOf(*job.film);
+  if (counts.run_tiles_size() > 0) *job.record.mutable_sample_counts() = std::move(counts);
   job.record.set_stop_reason(reason);
   SetState(job, v1::JOB_STATE_FINISHING);
   StopWork(job);
@@ -328,7 +364,7 @@ void Coordinator::SetState(Job& job, v1::JobState state) {
   } else {
     order_.erase(place);
   }
-  waiting_changed_ = true;
+  waiting_changed_of_.insert(job.id);
   Touch(job);
 }
 
@@ -352,6 +388,11 @@ void Coordinator::Save(Job& job, bool with_film) {
   result_.effects.emplace_back(SaveJobEffect{job.id, with_film});
 }
 
+int64_t Coordinator::SamplesTotal(const Job& job) const {
+  if (job.replay_samples > 0) return job.replay_samples;
+  return job.queue->end() * job.grid.region().area();
+}
+
 void Coordinator::UpdateProgress(Job& job) {
   v1::JobProgress& progress = *job.record.mutable_progress();
   const auto area = static_cast<double>(job.grid.region().area());
@@ -359,8 +400,8 @@ void Coordinator::UpdateProgress(Job& job) {
   progress.set_non_finite(job.film->non_finite());
   progress.set_spp(static_cast<double>(job.film->samples()) / area);
   if (job.queue == nullptr) return;
-  progress.set_committed_spp(job.queue->committed_spp());
-  progress.set_samples_total(job.queue->end() * job.grid.region().area());
+  progress.set_committed_spp(std::min(job.queue->committed_spp(), job.queue->end()));
+  progress.set_samples_total(SamplesTotal(job));
 }
 
 }  // namespace tessera

@@ -21,10 +21,10 @@ absl::Status CheckHello(const v1::Hello& hello, const std::string& version) {
         version, ": install the same version on both"));
   }
   if (hello.threads() < 1 || hello.threads() > kWorkerThreadsMax || hello.memory_bytes() < 0 ||
-      hello.host().size() > kNameBytesMax || hello.isa_classes_size() > 64) {
+      hello.host().size() > kHostBytesMax || hello.isa_classes_size() > 64) {
     return absl::InvalidArgumentError(
         absl::StrCat("hello: threads must be 1 to ", kWorkerThreadsMax,
-                     " and memory_bytes at least 0"));
+                     ", memory_bytes at least 0, host at most ", kHostBytesMax, " bytes long"));
   }
   return absl::OkStatus();
 }
@@ -84,7 +84,6 @@ void Coordinator::On(WorkerConnectedEvent& event) {
   auto worker = std::make_unique<Worker>();
   worker->session = event.session;
   worker->id = next_worker_++;
-  worker->key = absl::StrCat(event.hello.host(), ":", event.hello.process_id());
   worker->hello = std::move(event.hello);
   worker->connected = worker->seen = now_;
   v1::CoordinatorMessage message;
@@ -124,9 +123,9 @@ void Coordinator::On(DeclineEvent& event) {
   if (decline.reason() != v1::DeclineLease::REASON_DRAINING) {
     job.last_decline = CutText(decline.detail(), kErrorBytesMax);
     if (decline.reason() == v1::DeclineLease::REASON_MEMORY) {
-      job.without_memory.insert(worker->key);
+      job.memory_short_bytes = std::max(job.memory_short_bytes, worker->hello.memory_bytes());
     } else {
-      job.retry_assets_ms[worker->key] = now_.monotonic_ms + kAssetRetryMs;
+      worker->retry_assets_ms[id] = now_.monotonic_ms + kAssetRetryMs;
     }
     // What holds for one lease of the job holds for all that this worker has.
     const std::set<LeaseId> leases = worker->leases;
@@ -165,9 +164,8 @@ void Coordinator::On(DrainEvent& event) {
 }
 
 bool Coordinator::CanServe(const Worker& worker, const Job& job) const {
-  if (worker.draining || job.without_memory.contains(worker.key)) return false;
-  const auto retry = job.retry_assets_ms.find(worker.key);
-  if (retry != job.retry_assets_ms.end() && now_.monotonic_ms < retry->second) return false;
+  if (worker.draining || job.LacksMemory(worker.hello)) return false;
+  if (worker.RetriesLater(job.id, now_.monotonic_ms)) return false;
   const auto& classes = worker.hello.isa_classes();
   return std::ranges::find(classes, job.record.settings().isa()) != classes.end();
 }
@@ -179,14 +177,15 @@ bool Coordinator::IsSilent(const Worker& worker) const {
 
 // Whether the job's film is in memory already, or there is room for it.
 bool Coordinator::FitsMemory(const Job& job) const {
-  if (job.film->samples() > 0 || job.samples_under_way > 0) return true;
-  int64_t bytes = FilmBytesOf(job.grid);
-  for (const auto& [id, other] : jobs_) {
-    if (other->film->samples() > 0 || other->samples_under_way > 0) {
-      bytes += FilmBytesOf(other->grid);
-    }
-  }
-  return bytes <= config_.film_bytes_max;
+  return job.holds_film || film_bytes_ + FilmBytesOf(job.grid) <= config_.film_bytes_max;
+}
+
+// Notes whether the job's film takes memory: it has samples, or some are on their way.
+void Coordinator::CountFilm(Job& job) {
+  const bool holds = job.film->samples() > 0 || job.samples_under_way > 0;
+  if (holds == job.holds_film) return;
+  job.holds_film = holds;
+  film_bytes_ += holds ? FilmBytesOf(job.grid) : -FilmBytesOf(job.grid);
 }
 
 void Coordinator::GrantAll() {
@@ -204,13 +203,21 @@ void Coordinator::GrantAll() {
 
 bool Coordinator::GrantOne(Worker& worker) {
   std::vector<Job*> sharing;
+  bool room = true;  // for the films of jobs that have none yet
   for (auto it = order_.begin(); it != order_.end();) {
     const int priority = it->first;
     sharing.clear();
     for (; it != order_.end() && it->first == priority; ++it) {
       Job& job = *jobs_.at(it->second);
-      if (sharing.size() < kSharingJobsMax && CanServe(worker, job) && FitsMemory(job)) {
+      if (sharing.size() == kSharingJobsMax) {
+        it = order_.lower_bound({priority + 1, 0});
+        break;
+      }
+      if (!CanServe(worker, job) || (!room && !job.holds_film)) continue;
+      if (FitsMemory(job)) {
         sharing.push_back(&job);
+      } else {
+        room = false;  // what comes later does not overtake a film that waits for room
       }
     }
     if (GrantFrom(sharing, worker)) return true;
@@ -239,6 +246,7 @@ void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
   ++job.leases_of_session[worker.session];
   job.leases_of_unit[unit].push_back(id);
   job.samples_under_way += unit.range.size() * window.area();
+  CountFilm(job);
   if (job.work_ms == 0) job.work_ms = now_.monotonic_ms;
   if (job.record.state() == v1::JOB_STATE_QUEUED) SetState(job, v1::JOB_STATE_RUNNING);
 
@@ -283,6 +291,7 @@ void Coordinator::DropLease(LeaseId id, bool revoke) {
   expiries_.erase({lease.expires_ms, id});
   Job& job = *jobs_.at(lease.job);
   job.samples_under_way -= lease.unit.range.size() * job.grid.WindowOf(lease.unit.tile).area();
+  CountFilm(job);
   if (--job.leases_of_session[lease.session] == 0) job.leases_of_session.erase(lease.session);
   std::vector<LeaseId>& others = job.leases_of_unit.at(lease.unit);
   std::erase(others, id);
@@ -328,15 +337,25 @@ void Coordinator::ExpireLeases() {
   }
 }
 
+// All jobs only when workers or memory have changed: there may be thousands.
 void Coordinator::UpdateWaiting() {
-  waiting_changed_ = false;
-  for (const auto& [priority, id] : order_) {
-    Job& job = *jobs_.at(id);
-    std::string reason = WaitingReason(job);
-    if (reason == job.record.waiting()) continue;
-    job.record.set_waiting(std::move(reason));
-    Touch(job);
+  if (waiting_changed_) {
+    for (const auto& [priority, id] : order_) UpdateWaitingOf(*jobs_.at(id));
+  } else {
+    for (const JobId id : waiting_changed_of_) {
+      const auto job = jobs_.find(id);
+      if (job != jobs_.end() && job->second->IsOpen()) UpdateWaitingOf(*job->second);
+    }
   }
+  waiting_changed_ = false;
+  waiting_changed_of_.clear();
+}
+
+void Coordinator::UpdateWaitingOf(Job& job) {
+  std::string reason = WaitingReason(job);
+  if (reason == job.record.waiting()) return;
+  job.record.set_waiting(std::move(reason));
+  Touch(job);
 }
 
 std::string Coordinator::WaitingReason(const Job& job) const {
@@ -344,27 +363,34 @@ std::string Coordinator::WaitingReason(const Job& job) const {
   if (workers_.empty()) {
     return "no worker is connected: start tessera-worker with this server's address";
   }
+  return ReasonOfWorkers(job);
+}
+
+// Stops at the first worker that could: of many jobs that wait, most wait for their turn only.
+std::string Coordinator::ReasonOfWorkers(const Job& job) const {
   const std::string& isa = job.record.settings().isa();
-  int able = 0, small = 0, failing = 0, other_isa = 0;
+  int small = 0, failing = 0, other_isa = 0;
+  bool able = false;
   int64_t memory_max = 0;
   for (const auto& [session, worker] : workers_) {
     const auto& classes = worker->hello.isa_classes();
     if (worker->draining) continue;
-    if (job.without_memory.contains(worker->key)) {
+    if (job.LacksMemory(worker->hello)) {
       ++small;
       memory_max = std::max(memory_max, worker->hello.memory_bytes());
     } else if (std::ranges::find(classes, isa) == classes.end()) {
       ++other_isa;
-    } else if (!CanServe(*worker, job)) {
+    } else if (worker->RetriesLater(job.id, now_.monotonic_ms)) {
       ++failing;
     } else {
-      ++able;
+      able = true;
+      break;
     }
   }
-  if (able > 0 && !FitsMemory(job)) {
-    return "the server's memory for films is full: delete finished jobs";
+  if (able && !FitsMemory(job)) {
+    return "the server's memory for films is full: delete finished jobs, or cancel paused ones";
   }
-  if (able > 0) return "all workers are busy with jobs that come first";
+  if (able) return "all workers are busy with jobs that come first";
   if (failing > 0) return absl::StrCat("a worker could not fetch an asset: ", job.last_decline);
   if (small > 0) {
     return absl::StrCat("the scene needs more memory than any of the ", small,

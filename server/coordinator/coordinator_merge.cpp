@@ -84,6 +84,7 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
   const bool pass_committed = job.queue->Complete(unit);
   DropLeasesOf(job, unit);
 
+  CountFilm(job);
   job.film_changed = true;
   if (job.first_merge_ms == 0) job.first_merge_ms = now_.monotonic_ms;
   const TileCost cost = CostOfDelta(event);
@@ -125,6 +126,7 @@ std::optional<Unit> Coordinator::TakeUnit(Job& job) {
 
 void Coordinator::OpenNextEpoch(Job& job) {
   const v1::JobSettings& settings = job.record.settings();
+  if (settings.has_replay()) return;  // nothing is left to decide, the gate stays open
   const SampleSchedule& schedule = job.queue->schedule();
   const int64_t committed = job.queue->committed_spp();
   const int64_t epoch_end = schedule.EpochEnd(committed);

@@ -11,9 +11,11 @@
 
 namespace tessera {
 
-// What a film and its picture take in memory, about: a stored node, one that waits for its sibling,
-// the resolved and the filtered planes.
-inline int64_t FilmBytesOf(const TileGrid& grid) { return grid.region().area() * 520; }
+// What a film and its picture take in memory, about. For each pixel a stored node, one that waits
+// for its sibling, the resolved and the filtered planes; for each tile what keeps account of them.
+inline int64_t FilmBytesOf(const TileGrid& grid) {
+  return grid.region().area() * 520 + grid.num_tiles() * 1024;
+}
 
 // The text's first `bytes_max` bytes, less a character that they would cut: a record with half a
 // character could not be read back.
@@ -43,11 +45,13 @@ struct Coordinator::Job {
   std::map<SessionId, int> leases_of_session;
   std::map<Unit, std::vector<LeaseId>> leases_of_unit;
   int64_t samples_under_way = 0;
-  std::set<std::string> without_memory;            // worker keys that declined for good
-  std::map<std::string, int64_t> retry_assets_ms;  // worker key -> not before
+  bool holds_film = false;  // its film counts into film_bytes_
+  // The most memory of a worker that declined for want of it: none with as little is asked again.
+  int64_t memory_short_bytes = -1;
   int64_t work_ms = 0;  // monotonic moment of the first lease of this incarnation; 0 = none yet
   int64_t spent_ms = 0; // before that, by earlier incarnations and before pauses
   int64_t first_merge_ms = 0;  // monotonic, of this incarnation; 0 = none yet
+  int64_t replay_samples = 0;  // of all pixels, that a replay asks for; 0 = it is none
   int64_t start_spp = 0;       // committed when this incarnation began
   v1::StopReason stop_reason = v1::STOP_REASON_SPP;  // once the queue is done
   bool evaluating = false;                           // EvaluatePictureEffect is under way
@@ -63,6 +67,9 @@ struct Coordinator::Job {
   bool IsOpen() const {
     return record.state() == v1::JOB_STATE_QUEUED || record.state() == v1::JOB_STATE_RUNNING;
   }
+  bool LacksMemory(const v1::Hello& hello) const {
+    return hello.memory_bytes() <= memory_short_bytes;
+  }
   int64_t ElapsedMs(int64_t now_ms) const { return spent_ms + (work_ms ? now_ms - work_ms : 0); }
 };
 
@@ -70,14 +77,19 @@ struct Coordinator::Worker {
   SessionId session = 0;
   uint64_t id = 0;
   v1::Hello hello;
-  std::string key;  // "host:process", the same when it returns
   Instant connected;
   Instant seen;
   bool draining = false;
   std::set<LeaseId> leases;
   std::set<JobId> known_jobs;  // JobSpec sent
+  // Jobs whose assets it could not fetch -> not before this monotonic moment.
+  std::map<JobId, int64_t> retry_assets_ms;
   int64_t samples = 0;
 
+  bool RetriesLater(JobId job, int64_t now_ms) const {
+    const auto retry = retry_assets_ms.find(job);
+    return retry != retry_assets_ms.end() && now_ms < retry->second;
+  }
   size_t leases_max() const {
     const auto threads = static_cast<size_t>(hello.threads());
     return threads + std::max<size_t>(2, threads / 2);

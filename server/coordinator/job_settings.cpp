@@ -9,7 +9,10 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
+#include "core/base/isa_classes.h"
+#include "core/base/tile_grid.h"
 #include "server/coordinator/limits.h"
+#include "server/coordinator/sample_counts.h"
 
 namespace tessera {
 namespace {
@@ -82,6 +85,20 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
                    kPriorityMax);
   }
   return absl::OkStatus();
+}
+
+absl::Status CheckReplay(const v1::JobSettings& s) {
+  if (!s.has_replay()) return absl::OkStatus();
+  if (s.target_error() > 0 || s.has_max_time()) {
+    return Invalid("settings.replay: cannot be combined with target_error or max_time: a replay "
+                   "has the samples of its picture, no more and no less");
+  }
+  const v1::SampleCounts& counts = s.replay().counts();
+  if (counts.tile_size() != s.tile_size()) {
+    return Invalid("settings.replay: its counts are for tiles of ", counts.tile_size(),
+                   " pixels, settings.tile_size is ", s.tile_size(), ": make them equal");
+  }
+  return CheckCounts(counts, TileGrid(RegionOf(s), s.tile_size()).num_tiles(), s.spp());
 }
 
 absl::Status CheckCamera(const v1::Camera& camera) {
@@ -167,7 +184,8 @@ absl::Status CheckAssets(const v1::JobSettings& s) {
 }  // namespace
 
 const std::vector<std::string>& IsaClasses() {
-  static const auto* const kClasses = new std::vector<std::string>{"x86-64-v3", "x86-64-v4"};
+  static const auto* const kClasses = new std::vector<std::string>(kIsaClasses.begin(),
+                                                                 kIsaClasses.end());
   return *kClasses;
 }
 
@@ -198,6 +216,8 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
                                      CheckCamera(settings.camera()), CheckAssets(settings)}) {
     if (!status.ok()) return status;
   }
+  // Needs a frame that is possible.
+  if (absl::Status status = CheckReplay(settings); !status.ok()) return status;
   return settings;
 }
 

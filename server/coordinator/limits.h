@@ -12,7 +12,8 @@ inline constexpr int kMaxDepthMax = 1024;
 inline constexpr int kPriorityMax = 1000000;
 // A delta of one tile must stay below 1 MiB: 64 x 64 pixels of at most 184 bytes are 736 KiB.
 inline constexpr int kTileSizeMaxPx = 64;
-inline constexpr int64_t kTilesMax = int64_t{1} << 22;
+// The largest frame in tiles of 32 pixels. Bounds a job's tables and its record of sample counts.
+inline constexpr int64_t kTilesMax = int64_t{1} << 18;
 inline constexpr int kAssetsMax = 65536;
 inline constexpr int64_t kAssetBytesMax = int64_t{1} << 46;  // 64 TiB; the sum fits an int64
 inline constexpr int kNameBytesMax = 4096;
@@ -24,6 +25,7 @@ inline constexpr int kSceneMaterialsMax = 65536;
 inline constexpr int kJobsMax = 10000;
 inline constexpr int kRequestIdsMax = 4 * kJobsMax;
 inline constexpr int kWorkersMax = 4096;
+inline constexpr int kHostBytesMax = 255;  // RFC 1035
 inline constexpr int kWorkerThreadsMax = 1024;
 inline constexpr int64_t kRaysPerSampleMax = 1 << 20;
 

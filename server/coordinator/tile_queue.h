@@ -23,8 +23,10 @@ struct Unit {
 
 class TileQueue {
  public:
-  // committed: for each tile, samples that the film has already.
-  TileQueue(const SampleSchedule& schedule, std::vector<int64_t> committed);
+  // For each tile, `committed`: samples that the film has already, empty = none; `ends`: where its
+  // samples end, empty = all at schedule.spp(), else each at most that.
+  TileQueue(const SampleSchedule& schedule, int64_t num_tiles, std::vector<int64_t> committed = {},
+            std::vector<int64_t> ends = {});
 
   // The next unit to hand out, which is then under way; none when all is under way or the gate is
   // shut.
@@ -37,11 +39,11 @@ class TileQueue {
   bool IsOpen(const Unit& unit) const { return open_.contains(unit); }
 
   const SampleSchedule& schedule() const { return schedule_; }
-  // Every pixel has its first committed_spp() samples.
+  // Every pixel has its first committed_spp() samples, or all of those that it shall have.
   int64_t committed_spp() const { return committed_spp_; }
   // The least end of a pass that covers every sample handed out so far.
   int64_t EpochUnderWay() const;
-  // Where the job ends: spp, or what StopAt set.
+  // Where the job ends: spp, the greatest end of a tile, or what StopAt set.
   int64_t end() const { return end_; }
   bool Done() const { return committed_spp_ >= end_; }
 
@@ -58,11 +60,17 @@ class TileQueue {
     int64_t units_left = 0;  // not complete yet
   };
 
+  int64_t StartOf(int64_t tile) const;
+  int64_t EndOf(int64_t tile) const;
   bool OpenStage();
-  std::vector<SampleRange> RangesOf(const Stage& stage, int64_t tile) const;
+  void SkipIdleStages();
+  int64_t UnitsOf(SampleRange stage) const;
+  std::vector<SampleRange> RangesOf(SampleRange stage, int64_t tile) const;
 
   SampleSchedule schedule_;
-  std::vector<int64_t> start_;  // by tile; constant after construction
+  int64_t num_tiles_;
+  std::vector<int64_t> start_;     // by tile, empty = all 0; constant after construction
+  std::vector<int64_t> tile_end_;  // by tile, empty = all at spp; constant after construction
   int64_t start_max_ = 0;
   int64_t committed_spp_ = 0;
   int64_t next_begin_ = 0;  // of the next stage

@@ -280,8 +280,8 @@ TEST(Coordinator, AWorkerWithoutMemoryIsNeverAskedAgain) {
   farm.Disconnect(small);
   EXPECT_NE(farm.Job(job).waiting().find("no worker"), std::string::npos);
   const SessionId back = farm.Connect(2, "small");
-  EXPECT_TRUE(farm.workers[back].leases.empty()) << "the same host and process";
-  farm.Connect(2, "large");
+  EXPECT_TRUE(farm.workers[back].leases.empty()) << "with as little memory";
+  farm.Connect(2, "large", int64_t{2} << 30);
   EXPECT_TRUE(farm.Job(job).waiting().empty()) << farm.Job(job).waiting();
   farm.RunAll();
   EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);

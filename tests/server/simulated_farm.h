@@ -83,10 +83,12 @@ class SimulatedFarm {
     hello.add_isa_classes("x86-64-v3");
     return hello;
   }
-  SessionId Connect(int threads = 2, const std::string& host = "") {
+  SessionId Connect(int threads = 2, const std::string& host = "",
+                    int64_t memory_bytes = int64_t{1} << 30) {
     const SessionId session = next_session++;
-    Post(WorkerConnectedEvent{
-        session, MakeHello(host.empty() ? absl::StrCat("host", session) : host, threads)});
+    v1::Hello hello = MakeHello(host.empty() ? absl::StrCat("host", session) : host, threads);
+    hello.set_memory_bytes(memory_bytes);
+    Post(WorkerConnectedEvent{session, std::move(hello)});
     return session;
   }
   void Disconnect(SessionId session) {

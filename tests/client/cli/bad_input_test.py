@@ -66,7 +66,7 @@ class BadFlags(CommandLineCase):
                              "--fov-y", "nan")
         self.expect_bad_flag(["--region"], "--size", "64x64", "--region", "60,60,8,8")
         self.expect_bad_flag(["--denoiser", "geometric"], "--denoiser", "magic")
-        self.expect_bad_flag(["isa", "m68k", "x86-64-v3"], "--isa", "m68k")
+        self.expect_bad_flag(["--isa m68k", "x86-64-v3"], "--isa", "m68k")
         self.expect_bad_flag(["--threads", "0"], "--threads", "0")
         self.expect_bad_flag(["camera", "behind", "front"], "--camera", "behind")
         self.expect_bad_flag(["--env", "sky.hdr"], "--env", "sky.hdr")
@@ -108,6 +108,14 @@ class BadServers(CommandLineCase):
             self.expect_error(UNAVAILABLE, [f"no server at {address}", "tessera-server"],
                               "render", "triangle.glb", "-o", "out.exr", "--server", address)
             self.expect_error(UNAVAILABLE, [f"no server at {address}"], "list", "--server", address)
+
+    def test_addresses(self):
+        for address, words in [("farm", "names no port"), ("farm:x", "its port"),
+                               ("::1:4242", "brackets"), ("http://farm:4242", "is a URL"),
+                               ("", "empty")]:
+            self.expect_error(BAD_INPUT, ["--server", words], "render", "triangle.glb", "-o",
+                              "out.exr", "--server", address)
+            self.assertFalse((self.folder / "out.exr").exists())
 
     def test_plaintext_stays_on_this_machine(self):
         self.expect_error(BAD_INPUT, ["--insecure"], "list", "--server", "farm.invalid:4242")

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import unittest
 
-from command_line_case import CommandLineCase, TESSERA, TIMEOUT_SECONDS
+from command_line_case import CommandLineCase, TESSERA, TIMEOUT_SECONDS, triangle_gltf
 
 CANCELLED = 4
 SMALL = ["--size", "40x24", "--spp", "4"]
@@ -95,6 +95,36 @@ class Continue(CommandLineCase):
                           "--continue", "plain.exr", "-o", "m.exr")
 
 
+class Replay(CommandLineCase):
+    def test_any_picture_can_be_replayed(self):
+        first = self.expect_json("render", "triangle.glb", "-o", "a.exr", *SMALL, "--seed", "3")
+        again = self.expect_json("render", "triangle.glb", "--replay", "a.exr", "-o", "b.png")
+        self.assertEqual(again["digest"], first["digest"])
+
+    def test_what_cannot_give_the_same_bits_is_refused(self):
+        self.expect_done("render", "triangle.glb", "-o", "a.exr", *SMALL)
+        replay = ["render", "triangle.glb", "--replay", "a.exr", "-o", "b.exr"]
+        self.expect_error(2, ["--replay", "--seed"], *replay, "--seed", "9")
+        self.expect_error(2, ["--replay", "--max-depth"], *replay, "--max-depth", "1")
+        for flags in (["--spp", "8"], ["--max-time", "1"], ["--target-error", "0.1"],
+                      ["--continue", "a.exr"]):
+            self.expect_error(2, [flags[0], "replay"], *replay, *flags)
+        self.write("other.gltf", triangle_gltf().replace("0.8", "0.9"))
+        self.expect_error(2, ["--replay", "the scene's files"], "render", "other.gltf", "--replay",
+                          "a.exr", "-o", "b.exr")
+        self.expect_done("render", "triangle.glb", "-o", "c.exr", *SMALL, "--layers", "final,Z")
+        self.expect_error(2, ["c.exr", "--layers"], "render", "triangle.glb", "--replay", "c.exr",
+                          "-o", "b.exr")
+        data = (self.folder / "a.exr").read_bytes()
+        version = self.expect_done("--version").split()[1].encode()
+        self.assertIn(version, data)
+        other = version[:-1] + (b"0" if version[-1:] != b"0" else b"1")
+        self.write("old.exr", data.replace(version, other))
+        self.expect_error(2, ["--replay", other.decode(), version.decode()], "render",
+                          "triangle.glb", "--replay", "old.exr", "-o", "b.exr")
+        self.assertFalse((self.folder / "b.exr").exists())
+
+
 class Interrupt(CommandLineCase):
     def interrupt_render(self, *flags, twice=False):
         """Sends SIGINT once the progress bar shows samples; returns exit code, stdout, stderr.
@@ -147,6 +177,20 @@ class Interrupt(CommandLineCase):
                                     "straight.png", "--spp", str(spp))
         self.assertEqual(more["digest"], straight["digest"])
 
+    def test_an_interrupted_render_can_be_replayed(self):
+        # Tiles of unequal sample counts: the schedule is in the picture (contract C2).
+        code, stdout, stderr = self.interrupt_render("-o", "a.exr", "--json")
+        self.assertEqual(code, CANCELLED, stderr)
+        cut = json.loads(stdout)
+        for flags in ([], ["--threads", "1"], ["--tile-size", "16"], ["--tile-size", "5"]):
+            again = self.expect_json("render", "triangle.glb", "--replay", "a.exr", "-o",
+                                     "again.exr", *flags)
+            self.assertEqual(again["digest"], cut["digest"], flags)
+            self.assertEqual(again["samples"], cut["samples"])
+        self.assertEqual(self.expect_json("compare", "again.exr", "a.exr")["rel_mse"], 0)
+        twice = self.expect_json("render", "triangle.glb", "--replay", "again.exr", "-o", "b.exr")
+        self.assertEqual(twice["digest"], cut["digest"])
+
     def test_film_output_serves_itself(self):
         code, stdout, stderr = self.interrupt_render("-o", "a.exr", "--layers", "film", "--json")
         self.assertEqual(code, CANCELLED, stderr)
@@ -161,6 +205,25 @@ class Info(CommandLineCase):
         self.assertTrue(info["renderable"])
         self.assertIn("triangles", self.expect_done("info", "triangle.glb"))
         self.expect_error(2, ["missing.glb"], "info", "missing.glb")
+
+    def test_a_scene_that_cannot_be_rendered_is_described_as_far_as_it_goes(self):
+        scene = json.loads(triangle_gltf())
+        scene["extensionsUsed"] = scene["extensionsRequired"] = ["ACME_unheard_of"]
+        self.write("bad.gltf", json.dumps(scene))
+        text = self.run_tessera("info", "bad.gltf")
+        self.assertEqual(text.returncode, 2)
+        self.assertEqual(len(text.stderr.splitlines()), 1, text.stderr)
+        self.assertIn("ACME_unheard_of", text.stderr)
+        self.assertRegex(text.stdout, r"triangles +unknown")
+        self.assertRegex(text.stdout, r"cameras +front")
+        self.assertRegex(text.stdout, r"extensions_unsupported +ACME_unheard_of")
+        done = self.run_tessera("info", "bad.gltf", "--json")
+        self.assertEqual(done.returncode, 2)
+        info = json.loads(done.stdout)
+        self.assertFalse(info["renderable"])
+        self.assertIn("ACME_unheard_of", info["error"])
+        self.assertIsNone(info["triangles"])
+        self.assertEqual(info["cameras"], ["front"])
 
 
 class Completion(CommandLineCase):
@@ -181,6 +244,16 @@ class Completion(CommandLineCase):
         self.assertEqual(self.complete("tessera", "render", "--quality", "p"), ["preview"])
         self.assertEqual(self.complete("tessera", "render", "tri"), ["triangle.glb"])
         self.assertEqual(self.complete("tessera", "list", "--spp"), [])
+        self.assertEqual(self.complete("tessera", "render", "--isa", "x86-64-v4"), ["x86-64-v4"])
+
+
+class Help(CommandLineCase):
+    def test_flags_list_the_values_that_they_take(self):
+        text = " ".join(self.expect_done("render", "--help").split())
+        for word in ["bilateral", "geometric", "none", "x86-64-v3", "x86-64-v4", "variance",
+                     "samples", "film", "--replay"]:
+            self.assertIn(word, text)
+        self.assertIn("bilateral", self.expect_done("denoise", "--help"))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,12 @@
 """The commands about jobs, against a real server with a worker on loopback."""
 
+import pathlib
+import re
+import signal
+import subprocess
 import unittest
 
-from command_line_case import CommandLineCase, Farm
+from command_line_case import CommandLineCase, Farm, TESSERA, TIMEOUT_SECONDS
 
 SMALL = ["--size", "40x24", "--spp", "4"]
 ENDLESS = ["--size", "256x256", "--spp", "1000000"]
@@ -45,6 +49,34 @@ class FarmCommands(CommandLineCase):
         watched = self.run_tessera("watch", name, *self.server)
         self.assertEqual(watched.returncode, 4)
 
+    def interrupt(self, *arguments):
+        """Sends SIGINT to a command that talks to the server; returns code and stderr."""
+        process = subprocess.Popen([TESSERA, *arguments, *self.server], cwd=self.folder,
+                                   stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.addCleanup(process.kill)
+        # It has taken over the signal once a second signal number is in its caught set.
+        caught = 0
+        while not caught & (1 << (signal.SIGINT - 1)):
+            status = pathlib.Path(f"/proc/{process.pid}/status").read_text()
+            caught = int(re.search(r"SigCgt:\s*([0-9a-f]+)", status).group(1), 16)
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=TIMEOUT_SECONDS)
+        return process.returncode, stderr
+
+    def test_ctrl_c_ends_the_watching_not_the_job(self):
+        name = self.expect_done("submit", "triangle.glb", *ENDLESS, *self.server).strip()
+        code, stderr = self.interrupt("watch", name)
+        self.assertEqual(code, 4, stderr)
+        self.assertEqual(stderr, f"tessera: interrupted: {name} goes on\n")
+        self.assertIn(self.expect_json("show", name, *self.server)["state"], ["queued", "running"])
+
+    def test_ctrl_c_in_render_cancels_its_job(self):
+        code, stderr = self.interrupt("render", "triangle.glb", "-o", "a.png", *ENDLESS)
+        self.assertEqual(code, 4, stderr)
+        jobs = self.expect_json("list", *self.server)["jobs"]
+        for job in jobs:
+            self.assertEqual(job["state"], "cancelled")
+
     def test_workers(self):
         # The first job's end proves that the worker is connected.
         self.expect_done("render", "triangle.glb", "-o", "a.png", *SMALL, *self.server)
@@ -60,6 +92,23 @@ class FarmCommands(CommandLineCase):
         more = self.expect_json("render", "triangle.glb", "--continue", "film.exr", "--spp", "11",
                                 "-o", "m.exr", *self.server)
         self.assertEqual(more["digest"], whole["digest"])
+
+    def test_a_cancelled_job_can_be_replayed(self):
+        name = self.expect_done("submit", "triangle.glb", *ENDLESS, *self.server).strip()
+        while self.expect_json("show", name, *self.server)["samples"] == 0:
+            pass
+        self.expect_done("cancel", name, *self.server)
+        self.assertEqual(self.run_tessera("watch", name, *self.server).returncode, 4)
+        self.expect_done("fetch", name, "-o", "cut.exr", *self.server)
+        cut = self.expect_json("show", name, *self.server)
+        here = self.expect_json("render", "triangle.glb", "--replay", "cut.exr", "-o", "h.png")
+        self.assertEqual(here["digest"], cut["digest"])
+        there = self.expect_json("render", "triangle.glb", "--replay", "cut.exr", "-o", "t.png",
+                                 "--tile-size", "16", *self.server)
+        self.assertEqual(there["digest"], cut["digest"])
+        self.expect_done("fetch", name, "-o", "part.exr", "--region", "0,0,8,8", *self.server)
+        self.expect_error(2, ["part.exr", "--region"], "render", "triangle.glb", "--replay",
+                          "part.exr", "-o", "p.png")
 
     def test_scene_that_the_loader_refuses_leaves_other_jobs_alone(self):
         good = self.expect_done("submit", "triangle.glb", *SMALL, *self.server).strip()

@@ -145,7 +145,7 @@ TEST(Continue, FlagsThatAreNotGivenComeFromTheFilm) {
   EXPECT_EQ(job.seed(), 3u);
   EXPECT_EQ(job.spp(), 64);
   EXPECT_FALSE(job.has_max_time());  // how the last render ended is not how this one does
-  EXPECT_TRUE(CheckContinues(FilmSettings(), job).ok());
+  EXPECT_TRUE(CheckContinues("--continue", FilmSettings(), job).ok());
   EXPECT_EQ(Continuing({}).spp(), 16);
 }
 
@@ -180,7 +180,7 @@ TEST(Continue, ATargetErrorReplacesTheFilmsCount) {
 
 TEST(Continue, WhatMovesBitsMustBeEqual) {
   const auto error_of = [](const v1::JobSettings& job) {
-    const absl::Status status = CheckContinues(FilmSettings(), job);
+    const absl::Status status = CheckContinues("--continue", FilmSettings(), job);
     EXPECT_TRUE(absl::IsInvalidArgument(status));
     return std::string(status.message());
   };
@@ -209,7 +209,7 @@ TEST(Continue, ServingMayDiffer) {
   flags.priority = "4";
   flags.quality = "preview";
   flags.tile_size = "64";
-  EXPECT_TRUE(CheckContinues(FilmSettings(), Continuing(flags)).ok());
+  EXPECT_TRUE(CheckContinues("--continue", FilmSettings(), Continuing(flags)).ok());
 }
 
 }  // namespace

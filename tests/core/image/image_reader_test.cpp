@@ -91,6 +91,27 @@ TEST_F(ImageReaderTest, HalfFloatsBecomeFloats) {
   EXPECT_THAT(image->Find("id")->uints, ElementsAre(7u, 0xffffffffu));
 }
 
+TEST_F(ImageReaderTest, OneIntegerChannelComesAlone) {
+  Image image = MixedImage(37, 150);
+  image.metadata["digest"] = std::string("abc");
+  ASSERT_TRUE(WriteExr(Path("mixed.exr"), image).ok());
+  const ImageChannel* expected = nullptr;
+  for (const ImageChannel& channel : image.channels) {
+    if (channel.is_uint) expected = &channel;
+  }
+  ASSERT_NE(expected, nullptr);
+  const absl::StatusOr<Image> read = ReadUintChannel(Path("mixed.exr"), expected->name);
+  ASSERT_TRUE(read.ok()) << read.status();
+  ASSERT_EQ(read->channels.size(), 1u);
+  EXPECT_EQ(read->channels[0].uints, expected->uints);
+  EXPECT_EQ(read->data_window, image.data_window);
+  EXPECT_EQ(std::get<std::string>(read->metadata.at("digest")), "abc");
+  for (const char* other : {"R", "none"}) {
+    EXPECT_THAT(std::string(ReadUintChannel(Path("mixed.exr"), other).status().message()),
+                HasSubstr(other));
+  }
+}
+
 TEST_F(ImageReaderTest, SizeLimitsAreStated) {
   ASSERT_TRUE(WriteExr(Path("a.exr"), MixedImage(40, 40)).ok());
   const absl::StatusOr<Image> image = ReadImage(Path("a.exr"), {.pixels_max = 1599});

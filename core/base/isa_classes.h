@@ -1,0 +1,11 @@
+// The ISA classes that decide the bits of a picture (C2), by their x86-64 level.
+#pragma once
+
+#include <array>
+
+namespace tessera {
+
+// What a job may ask for, the default first.
+inline constexpr std::array<const char*, 2> kIsaClasses = {"x86-64-v3", "x86-64-v4"};
+
+}  // namespace tessera

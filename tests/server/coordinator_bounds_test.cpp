@@ -1,0 +1,114 @@
+// C6: what outside data can drive in the coordinator is bounded.
+#include <gtest/gtest.h>
+
+#include "absl/strings/match.h"
+#include "server/coordinator/limits.h"
+#include "tests/server/simulated_farm.h"
+
+namespace tessera {
+namespace {
+
+DeclineEvent Decline(SimulatedFarm& farm, SessionId session, v1::DeclineLease::Reason reason) {
+  v1::DeclineLease decline;
+  decline.set_lease_id(farm.workers[session].leases.front().id());
+  decline.set_reason(reason);
+  farm.workers[session].leases.pop_front();
+  return DeclineEvent{session, decline};
+}
+
+TEST(CoordinatorBounds, AJobOfTooManyTilesIsRefusedWithTheRemedy) {
+  SimulatedFarm farm;
+  v1::JobSettings settings = SmallSettings(1);
+  settings.set_width(1024);
+  settings.set_height(1024);
+  settings.set_tile_size(1);
+  CreateJobEvent event;
+  event.settings = settings;
+  const absl::Status status = farm.Post(event).status;
+  EXPECT_TRUE(absl::IsInvalidArgument(status));
+  EXPECT_TRUE(absl::StrContains(status.message(), "larger tile size")) << status;
+  event.settings.set_tile_size(2);
+  EXPECT_TRUE(farm.Post(event).status.ok());
+}
+
+TEST(CoordinatorBounds, TheLargestFrameFitsInTilesOfTheDefaultSize) {
+  EXPECT_GE(kTilesMax * 32 * 32, kFramePixelsMax);
+}
+
+TEST(CoordinatorBounds, WorkersThatDeclineLeaveNothingBehind) {
+  // A farm of ever new small workers: what is kept of them is one number a job.
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(2));
+  const SessionId first = farm.Connect(1, "first");
+  farm.Post(Decline(farm, first, v1::DeclineLease::REASON_MEMORY));
+  for (int i = 0; i < 100; ++i) {
+    const SessionId next = farm.Connect(1);
+    EXPECT_TRUE(farm.workers[next].leases.empty()) << "as small as the one that declined";
+    farm.Disconnect(next);
+  }
+  const SessionId larger = farm.Connect(1, "larger", int64_t{4} << 30);
+  EXPECT_FALSE(farm.workers[larger].leases.empty());
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
+}
+
+TEST(CoordinatorBounds, AWorkerThatCouldNotFetchIsAskedAgainLater) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(2));
+  const SessionId worker = farm.Connect(1);
+  farm.Post(Decline(farm, worker, v1::DeclineLease::REASON_ASSETS));
+  EXPECT_TRUE(farm.workers[worker].leases.empty());
+  EXPECT_TRUE(absl::StrContains(farm.Job(job).waiting(), "could not fetch"));
+  farm.now_ms += 6000;
+  farm.Post(HeartbeatEvent{worker, {}});
+  EXPECT_FALSE(farm.workers[worker].leases.empty());
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
+}
+
+TEST(CoordinatorBounds, AWorkerWithAnEndlessNameIsRefused) {
+  SimulatedFarm farm;
+  const SessionId worker = farm.Connect(1, std::string(300, 'h'));
+  ASSERT_TRUE(farm.workers[worker].closed.has_value());
+  EXPECT_TRUE(absl::IsInvalidArgument(*farm.workers[worker].closed));
+}
+
+TEST(CoordinatorBounds, JobsWaitForRoomForTheirFilmsInTheirOrder) {
+  CoordinatorConfig config = SmallConfig();
+  const v1::JobSettings large = SmallSettings(4);
+  v1::JobSettings small = SmallSettings(4);
+  small.set_width(8);
+  small.set_height(8);
+  config.film_bytes_max = (19 * 10 * 520 + 6 * 1024) + 8 * 8 * 520 + 1024;  // one of each
+  SimulatedFarm farm(config);
+  const JobId first = farm.Create(large);
+  const JobId second = farm.Create(large);
+  const JobId third = farm.Create(small);
+  const SessionId worker = farm.Connect(8);
+  EXPECT_EQ(farm.Job(first).state(), v1::JOB_STATE_RUNNING);
+  EXPECT_EQ(farm.Job(second).state(), v1::JOB_STATE_QUEUED);
+  EXPECT_EQ(farm.Job(third).state(), v1::JOB_STATE_QUEUED) << "does not overtake the large one";
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(first).state(), v1::JOB_STATE_DONE);
+  EXPECT_TRUE(farm.workers[worker].leases.empty());
+  farm.Post(FilmStoredEvent{first, 4 * 190});  // on disk now: its memory is free
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(second).state(), v1::JOB_STATE_DONE);
+  ASSERT_TRUE(farm.Command(JobCommand::kDelete, second).ok());
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(third).state(), v1::JOB_STATE_DONE);
+}
+
+TEST(CoordinatorBounds, ThousandsOfQueuedJobsOfManyTilesCostNothingBeforeTheyStart) {
+  // Each has 2^18 tiles: tables for all of them would be tens of gigabytes.
+  SimulatedFarm farm;
+  v1::JobSettings settings = SmallSettings(1);
+  settings.set_width(512);
+  settings.set_height(512);
+  settings.set_tile_size(1);
+  for (int i = 0; i < 5000; ++i) ASSERT_NE(farm.Create(settings), 0u);
+  EXPECT_EQ(farm.coordinator.ListJobs(0, 10000).size(), 5000u);
+}
+
+}  // namespace
+}  // namespace tessera
