@@ -23,8 +23,9 @@ TileQueue::TileQueue(const SampleSchedule& schedule, int64_t num_tiles,
   if (!start_.empty()) start_max_ = *std::ranges::max_element(start_);
   if (!tile_end_.empty()) end_ = *std::ranges::max_element(tile_end_);
   TESSERA_CHECK(end_ <= schedule_.spp());
-  committed_spp_ = end_;
-  for (int64_t tile = 0; tile < num_tiles_; ++tile) {
+  const bool from_scratch = start_.empty() && tile_end_.empty();
+  committed_spp_ = from_scratch ? 0 : end_;
+  for (int64_t tile = 0; !from_scratch && tile < num_tiles_; ++tile) {
     if (StartOf(tile) < EndOf(tile)) committed_spp_ = std::min(committed_spp_, StartOf(tile));
   }
   next_begin_ = committed_spp_;
