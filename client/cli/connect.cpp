@@ -42,7 +42,8 @@ absl::Status CheckAddress(const std::string& address) {
     return bad("its port is no number from 1 to 65535");
   }
   const auto is_name = [](char c) { return absl::ascii_isgraph(static_cast<unsigned char>(c)); };
-  if (host.empty() || !std::ranges::all_of(host, is_name) || absl::StrContains(host, '/')) {
+  if (host.empty() || !std::ranges::all_of(host, is_name) || absl::StrContains(host, '/') ||
+      (!bracketed && host.find_first_of("[]") != std::string::npos)) {
     return bad("names no host");
   }
   return absl::OkStatus();

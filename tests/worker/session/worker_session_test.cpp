@@ -297,7 +297,9 @@ TEST_F(WorkerSessionTest, AServerThatVanishesAmidDeltasGetsThemFromTheNextSessio
   Start([&](int index, Stream& stream) {
     Welcome(stream);
     SendJob(stream, "jobs/1", scene);
-    for (uint64_t id = 1; id <= 8; ++id) SendLease(stream, id, "jobs/1", 0, 8 * (static_cast<int64_t>(id) - 1));
+    for (int64_t i = 0; i < 8; ++i) {
+      SendLease(stream, static_cast<uint64_t>(i + 1), "jobs/1", 0, 8 * i);
+    }
     v1::WorkerMessage message;
     if (index < 3) {  // gone while seven leases are rendered, queued and on the wire
       EXPECT_TRUE(ReadUntil(stream, v1::WorkerMessage::kDelta, &message));
