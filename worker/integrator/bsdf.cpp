@@ -36,6 +36,7 @@ Bsdf::Bsdf(const BsdfParameters& p, const V3f& wo)
       glass_weight_((1 - p.metallic) * p.transmission) {
   SetSpecular(p);
   ChooseLobes();
+  if (p.has_layers) layers_.emplace(p.layers, wo, MaxComponent(BaseAlbedo()));
 }
 
 void Bsdf::SetSpecular(const BsdfParameters& p) {
@@ -105,6 +106,12 @@ float Bsdf::GlassFresnel(float cosine, float* cos_t) const {
 }
 
 BsdfValue Bsdf::Evaluate(const V3f& wi) const {
+  BsdfValue value = EvaluateBase(wi);
+  if (layers_) layers_->Cover(wi, &value);
+  return value;
+}
+
+BsdfValue Bsdf::EvaluateBase(const V3f& wi) const {
   if (wi.z > 0) return EvaluateReflection(wi);
   if (glass_weight_ > 0 && wi.z < 0) {
     return thin_walled_ ? EvaluateThinTransmission(wi) : EvaluateRefraction(wi);
@@ -189,34 +196,47 @@ bool Bsdf::SampleGlass(float u_lobe, const V2f& u, V3f* wi) const {
   return wi->z < 0;
 }
 
-bool Bsdf::Sample(float u_lobe, const V2f& u, BsdfSample* sample) const {
-  V3f wi;
+bool Bsdf::SampleDirection(float u_lobe, const V2f& u, V3f* wi) const {
   if (u_lobe < p_diffuse_) {
     const SinCos<float> phi = SinCosTurns(u.x);
     const float r = std::sqrt(u.y);
-    wi = {r * phi.cos, r * phi.sin, std::sqrt(1 - u.y)};
-  } else if (u_lobe < p_diffuse_ + p_specular_ || p_glass_ == 0) {
+    *wi = {r * phi.cos, r * phi.sin, std::sqrt(1 - u.y)};
+    return true;
+  }
+  if (u_lobe < p_diffuse_ + p_specular_ || p_glass_ == 0) {
     if (p_specular_ == 0) return false;
     const V3f h = SampleGgxVisibleNormal(wo_, alpha_, u);
-    wi = h * (2 * wo_.dot(h)) - wo_;
-    if (wi.z <= 0) return false;
-  } else {
-    const float u_glass = Clamp01((u_lobe - p_diffuse_ - p_specular_) / p_glass_);
-    if (!SampleGlass(u_glass, u, &wi)) return false;
+    *wi = h * (2 * wo_.dot(h)) - wo_;
+    return wi->z > 0;
   }
+  return SampleGlass(Clamp01((u_lobe - p_diffuse_ - p_specular_) / p_glass_), u, wi);
+}
+
+bool Bsdf::Sample(float u_lobe, const V2f& u, BsdfSample* sample) const {
+  V3f wi;
+  MaterialLayers::Choice choice = MaterialLayers::Choice::kBase;
+  if (layers_) choice = layers_->SampleLayer(&u_lobe, u, &wi);
+  if (choice == MaterialLayers::Choice::kNothing) return false;
+  if (choice == MaterialLayers::Choice::kBase && !SampleDirection(u_lobe, u, &wi)) return false;
   const BsdfValue value = Evaluate(wi);
   if (!(value.pdf > 0)) return false;
   *sample = {wi, value.f_cos * (1 / value.pdf), value.pdf};
   return true;
 }
 
-V3f Bsdf::Albedo() const {
+V3f Bsdf::BaseAlbedo() const {
   V3f albedo = diffuse_ * (diffuse_share_ * share_average_) + specular_albedo_;
   if (glass_weight_ > 0) {
     float cos_t;
     const float reflected = GlassFresnel(wo_.z, &cos_t);
     albedo += (glass_tint_ * reflected + base_color_ * (1 - reflected)) * glass_weight_;
   }
+  return {Clamp01(albedo.x), Clamp01(albedo.y), Clamp01(albedo.z)};
+}
+
+V3f Bsdf::Albedo() const {
+  if (!layers_) return BaseAlbedo();
+  const V3f albedo = layers_->Albedo(BaseAlbedo());
   return {Clamp01(albedo.x), Clamp01(albedo.y), Clamp01(albedo.z)};
 }
 

@@ -1,7 +1,7 @@
 // The glTF metallic-roughness surface in its local frame (z = shading normal on the side of wo):
 // Lambert under a dielectric GGX coat, metal, and glass (thin-walled, or a rough refracting
-// boundary). Directions are unit and point away from the surface. Radiance is transported as
-// L / n^2, which refraction leaves unscaled.
+// boundary), covered by the material's layers (material_layers.h). Directions are unit and point
+// away from the surface. Radiance is transported as L / n^2, which refraction leaves unscaled.
 //
 // Energy: single-scattering lobes are scaled to what lossless multiple scattering would give
 // (Turquin 2019, eq. 16), the scale depending on wo; white metal and glass return everything, no
@@ -9,6 +9,10 @@
 #pragma once
 
 #include <Imath/ImathVec.h>
+
+#include <optional>
+
+#include "worker/integrator/material_layers.h"
 
 namespace tessera {
 
@@ -25,7 +29,9 @@ struct BsdfParameters {
   float specular = 1;
   Imath::V3f specular_color = Imath::V3f(1, 1, 1);
   bool thin_walled = true;
-  bool entering = true;  // wo is outside (matters for glass that is not thin-walled)
+  bool entering = true;     // wo is outside (matters for glass that is not thin-walled)
+  bool has_layers = false;  // else `layers` is not read
+  LayerParameters layers;
   // Of RefractingIor(ior), for glass that is not thin-walled; null: multiple scattering is lost.
   const GlassAlbedoTable* glass_albedo = nullptr;
 };
@@ -59,6 +65,9 @@ class Bsdf {
   Imath::V3f Albedo() const;
 
  private:
+  bool SampleDirection(float u_lobe, const Imath::V2f& u, Imath::V3f* wi) const;
+  BsdfValue EvaluateBase(const Imath::V3f& wi) const;
+  Imath::V3f BaseAlbedo() const;
   BsdfValue EvaluateReflection(const Imath::V3f& wi) const;
   BsdfValue EvaluateThinTransmission(const Imath::V3f& wi) const;
   BsdfValue EvaluateRefraction(const Imath::V3f& wi) const;
@@ -86,7 +95,8 @@ class Bsdf {
   float glass_fresnel_ = 1;  // weight of glass's reflectance
   Imath::V3f glass_tint_;    // of glass's reflection
   Imath::V3f specular_albedo_;
-  float p_diffuse_ = 0, p_specular_ = 0, p_glass_ = 0;  // choice of the lobe
+  float p_diffuse_ = 0, p_specular_ = 0, p_glass_ = 0;  // choice of the base's lobe
+  std::optional<MaterialLayers> layers_;
 };
 
 }  // namespace tessera

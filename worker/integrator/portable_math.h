@@ -99,6 +99,24 @@ inline float ExpNegative(float x) {
   return series * std::bit_cast<float>(static_cast<uint32_t>(127 + k) << 23);
 }
 
+// Natural logarithm of x in [2^-126, 2^126]; relative error below 2e-6 away from 1.
+inline float Ln(float x) {
+  const uint32_t bits = std::bit_cast<uint32_t>(x);
+  // x = m 2^e with m in [sqrt(1/2), sqrt(2)); ln m = 2 artanh(s), s = (m - 1) / (m + 1).
+  const int e = static_cast<int>(bits - 0x3f3504f3u) >> 23;
+  const float m = std::bit_cast<float>(bits - (static_cast<uint32_t>(e) << 23));
+  const float s = (m - 1) / (m + 1), y = s * s;
+  const float series = 1 + y * (1.f / 3 + y * (1.f / 5 + y * (1.f / 7 + y * (1.f / 9))));
+  return static_cast<float>(e) * 0.693147181f + 2 * s * series;
+}
+
+// x^power for x in [0, 1] and power > 0; relative error below 2e-6 (1 + |ln x^power|).
+inline float PowUnit(float x, float power) {
+  if (!(x > 1e-37f)) return 0;
+  const float exponent = power * Ln(x);
+  return exponent < 0 ? ExpNegative(exponent) : 1;
+}
+
 inline float Sqr(float x) { return x * x; }
 inline float Clamp01(float x) { return x > 0 ? (x < 1 ? x : 1) : 0; }
 inline float MaxComponent(const Imath::V3f& v) {

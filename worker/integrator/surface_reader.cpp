@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 
+#include "worker/integrator/onb.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/texture_lookup.h"
 
@@ -65,6 +66,7 @@ SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometr
   std::map<float, const GlassAlbedoTable*> tables;  // by index of refraction
   for (const Material& material : scene.materials) {
     absorption_.push_back(AbsorptionOf(material));
+    has_layers_.push_back(material.clearcoat > 0 || MaxComponent(material.sheen_color) > 0);
     const GlassAlbedoTable* table = nullptr;
     if (material.transmission > 0 && material.thickness > 0) {
       const float ior = RefractingIor(material.ior);
@@ -135,74 +137,172 @@ WorldTriangle SurfaceReader::TriangleOf(uint32_t instance, uint32_t triangle) co
   return world;
 }
 
-V3f SurfaceReader::ShadingNormal(const Mesh& mesh, const InstanceGeometry& geometry,
-                                 const RayHit& hit, const V3f& geometric_normal,
-                                 const WorldTriangle& corners) const {
-  V3f normal = geometric_normal;
-  const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
-  if (!mesh.normals.empty()) {
-    V3f smooth = Interpolate(mesh.normals, corner, hit.u, hit.v);
-    smooth = geometry.instanced ? geometry.transform.Normal(smooth) : Unit(smooth);
-    if (smooth.dot(smooth) > 0.5f) normal = smooth;
-  }
-  const Material& material = scene_.materials[mesh.material];
-  if (material.normal_texture.texture < 0) return normal;
-  return MappedNormal(material, mesh, geometry, hit, normal, corners);
+struct SurfaceReader::Place {
+  const RayHit& hit;
+  const InstanceGeometry& geometry;
+  const Mesh& mesh;
+  const Material& material;
+  const std::array<uint32_t, 3>& corner;  // vertices of the triangle
+  const WorldTriangle& world;
+};
+
+V4f SurfaceReader::Texel(const Place& place, const TextureRef& ref) const {
+  return LookupLinear(scene_.textures[ref.texture], ref,
+                      TextureUv(place.mesh, ref, place.corner, place.hit.u, place.hit.v));
 }
 
-V3f SurfaceReader::MappedNormal(const Material& material, const Mesh& mesh,
-                                const InstanceGeometry& geometry, const RayHit& hit,
-                                const V3f& normal, const WorldTriangle& corners) const {
-  const TextureRef& ref = material.normal_texture;
-  const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
+V4f SurfaceReader::SrgbTexel(const Place& place, const TextureRef& ref) const {
+  return LookupSrgb(scene_.textures[ref.texture], ref,
+                    TextureUv(place.mesh, ref, place.corner, place.hit.u, place.hit.v));
+}
+
+V3f SurfaceReader::SmoothNormal(const Place& place) const {
+  const WorldTriangle& t = place.world;
+  if (!place.mesh.normals.empty()) {
+    V3f smooth = Interpolate(place.mesh.normals, place.corner, place.hit.u, place.hit.v);
+    smooth = place.geometry.instanced ? place.geometry.transform.Normal(smooth) : Unit(smooth);
+    if (smooth.dot(smooth) > 0.5f) return smooth;
+  }
+  return Unit((t.b - t.a).cross(t.c - t.a));
+}
+
+V3f SurfaceReader::MappedNormal(const Place& place, const TextureRef& map, float scale,
+                                const V3f& normal) const {
+  const Mesh& mesh = place.mesh;
+  const GeometryTransform& transform = place.geometry.transform;
+  const bool turned = place.geometry.instanced && transform.mirrors;
   V3f tangent(0, 0, 0);
   float handedness = 1;
   if (!mesh.tangents.empty()) {
-    const V4f t = Interpolate(mesh.tangents, corner, hit.u, hit.v);
+    const V4f t = Interpolate(mesh.tangents, place.corner, place.hit.u, place.hit.v);
     tangent = {t.x, t.y, t.z};
-    if (geometry.instanced) tangent = geometry.transform.Vector(tangent);
+    if (place.geometry.instanced) tangent = transform.Vector(tangent);
     handedness = t.w < 0 ? -1.f : 1.f;
-    if (geometry.instanced && geometry.transform.mirrors) handedness = -handedness;
-  } else if (const std::vector<V2f>& uvs = mesh.uvs[ref.uv_set == 1 ? 1 : 0]; !uvs.empty()) {
+    if (turned) handedness = -handedness;
+  } else if (const std::vector<V2f>& uvs = mesh.uvs[map.uv_set == 1 ? 1 : 0]; !uvs.empty()) {
     // dp/du of the triangle. Corners come in the winding of the world; so must their uvs.
-    const bool turned = geometry.instanced && geometry.transform.mirrors;
-    const V2f uv_a = uvs[corner[0]], uv_b = uvs[corner[turned ? 2 : 1]],
-              uv_c = uvs[corner[turned ? 1 : 2]];
+    const V2f uv_a = uvs[place.corner[0]], uv_b = uvs[place.corner[turned ? 2 : 1]],
+              uv_c = uvs[place.corner[turned ? 1 : 2]];
     const V2f ab = uv_b - uv_a, ac = uv_c - uv_a;
     const float determinant = ab.x * ac.y - ab.y * ac.x;
     // v points down in glTF's textures, the map's green channel up: handedness by the uv's winding.
-    tangent = ((corners.b - corners.a) * ac.y - (corners.c - corners.a) * ab.y) *
+    tangent = ((place.world.b - place.world.a) * ac.y - (place.world.c - place.world.a) * ab.y) *
               (determinant < 0 ? -1.f : 1.f);
     handedness = determinant < 0 ? 1.f : -1.f;
   }
   tangent = Unit(tangent - normal * normal.dot(tangent));
   if (tangent.dot(tangent) < 0.5f) return normal;
   const V3f bitangent = normal.cross(tangent) * handedness;
-  const V4f texel =
-      LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v));
-  const float x = (2 * texel.x - 1) * material.normal_scale;
-  const float y = (2 * texel.y - 1) * material.normal_scale;
+  const V4f texel = Texel(place, map);
+  const float x = (2 * texel.x - 1) * scale;
+  const float y = (2 * texel.y - 1) * scale;
   const V3f mapped = Unit(tangent * x + bitangent * y + normal * (2 * texel.z - 1));
   return mapped.dot(mapped) > 0.5f ? mapped : normal;
+}
+
+void SurfaceReader::ReadBase(const Place& place, Surface* surface) const {
+  const Material& material = place.material;
+  V3f base(material.base_color.x, material.base_color.y, material.base_color.z);
+  if (material.base_color_texture.texture >= 0) {
+    const V4f c = SrgbTexel(place, material.base_color_texture);
+    base *= V3f(c.x, c.y, c.z);
+  }
+  if (!place.mesh.colors.empty()) {
+    const V4f c = Interpolate(place.mesh.colors, place.corner, place.hit.u, place.hit.v);
+    base *= V3f(c.x, c.y, c.z);
+  }
+  surface->emission =
+      material.unlit ? base
+                     : Emission(place.hit.instance, place.hit.triangle, place.hit.u, place.hit.v);
+  BsdfParameters& p = surface->bsdf;
+  p.base_color = {Clamp01(base.x), Clamp01(base.y), Clamp01(base.z)};
+  p.metallic = material.metallic;
+  p.roughness = material.roughness;
+  if (material.metallic_roughness_texture.texture >= 0) {
+    const V4f mr = Texel(place, material.metallic_roughness_texture);
+    p.roughness *= mr.y;
+    p.metallic *= mr.z;
+  }
+  p.transmission = material.transmission;
+  if (material.transmission > 0 && material.transmission_texture.texture >= 0) {
+    p.transmission *= Texel(place, material.transmission_texture).x;
+  }
+  p.ior = material.ior;
+  p.thin_walled = !(material.thickness > 0);
+  p.entering = surface->front_face;
+  p.glass_albedo = glass_albedo_[place.mesh.material];
+}
+
+void SurfaceReader::ReadSpecular(const Place& place, BsdfParameters* bsdf) const {
+  const Material& material = place.material;
+  bsdf->specular = material.specular;
+  bsdf->specular_color = material.specular_color;
+  if (material.specular_texture.texture >= 0) {
+    bsdf->specular *= Texel(place, material.specular_texture).w;
+  }
+  if (material.specular_color_texture.texture < 0) return;
+  const V4f texel = SrgbTexel(place, material.specular_color_texture);
+  bsdf->specular_color *= V3f(texel.x, texel.y, texel.z);
+  if (material.is_specular_glossiness) {
+    bsdf->roughness = Clamp01(1 - (1 - material.roughness) * texel.w);
+  }
+}
+
+void SurfaceReader::ReadLayers(const Place& place, const V3f& smooth, const V3f& wo,
+                               Surface* surface) const {
+  const Material& material = place.material;
+  LayerParameters& layers = surface->bsdf.layers;
+  surface->bsdf.has_layers = true;
+  layers.clearcoat = material.clearcoat;
+  layers.clearcoat_roughness = material.clearcoat_roughness;
+  if (material.clearcoat_texture.texture >= 0) {
+    layers.clearcoat *= Texel(place, material.clearcoat_texture).x;
+  }
+  if (material.clearcoat_roughness_texture.texture >= 0) {
+    layers.clearcoat_roughness *= Texel(place, material.clearcoat_roughness_texture).y;
+  }
+  if (layers.clearcoat > 0) {
+    V3f normal = smooth;
+    if (material.clearcoat_normal_texture.texture >= 0) {
+      normal = MappedNormal(place, material.clearcoat_normal_texture,
+                            material.clearcoat_normal_scale, smooth);
+    }
+    if (!surface->front_face) normal = -normal;
+    normal = AboveSurface(normal, surface->geometric_normal, wo);
+    layers.clearcoat_normal = Unit(Onb(surface->shading_normal).ToLocal(normal));
+  }
+  layers.sheen_color = material.sheen_color;
+  layers.sheen_roughness = material.sheen_roughness;
+  if (material.sheen_color_texture.texture >= 0) {
+    const V4f texel = SrgbTexel(place, material.sheen_color_texture);
+    layers.sheen_color *= V3f(texel.x, texel.y, texel.z);
+  }
+  if (material.sheen_roughness_texture.texture >= 0) {
+    layers.sheen_roughness *= Texel(place, material.sheen_roughness_texture).w;
+  }
 }
 
 Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   const InstanceGeometry& geometry = geometries_[hit.instance];
   const Mesh& mesh = *geometry.mesh;
   const Material& material = scene_.materials[mesh.material];
-  const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
+  const WorldTriangle t = TriangleOf(hit.instance, hit.triangle);
+  const Place place{hit, geometry, mesh, material, mesh.triangles[hit.triangle], t};
 
   Surface s;
   s.material = static_cast<uint32_t>(mesh.material);
   s.unlit = material.unlit;
 
   // Geometry. Barycentric interpolation is the most exact position (Waechter & Binder 2019).
-  const WorldTriangle t = TriangleOf(hit.instance, hit.triangle);
   const bool turned = geometry.instanced && geometry.transform.mirrors;
   const float ub = turned ? hit.v : hit.u, uc = turned ? hit.u : hit.v;
   s.position = t.a * (1 - ub - uc) + t.b * ub + t.c * uc;
   V3f ng = Unit((t.b - t.a).cross(t.c - t.a));
-  V3f ns = ShadingNormal(mesh, geometry, hit, ng, t);
+  const V3f smooth = SmoothNormal(place);
+  V3f ns = smooth;
+  if (material.normal_texture.texture >= 0) {
+    ns = MappedNormal(place, material.normal_texture, material.normal_scale, smooth);
+  }
   s.front_face = ng.dot(wo) >= 0;
   if (!s.front_face) {
     ng = -ng;
@@ -211,39 +311,11 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   s.geometric_normal = ng;
   s.shading_normal = AboveSurface(ns, ng, wo);
 
-  // Material.
-  V3f base(material.base_color.x, material.base_color.y, material.base_color.z);
-  if (const TextureRef& ref = material.base_color_texture; ref.texture >= 0) {
-    const V4f c =
-        LookupSrgb(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v));
-    base *= V3f(c.x, c.y, c.z);
-  }
-  if (!mesh.colors.empty()) {
-    const V4f c = Interpolate(mesh.colors, corner, hit.u, hit.v);
-    base *= V3f(c.x, c.y, c.z);
-  }
-  s.emission = s.unlit ? base : Emission(hit.instance, hit.triangle, hit.u, hit.v);
-  BsdfParameters& p = s.bsdf;
-  p.base_color = {Clamp01(base.x), Clamp01(base.y), Clamp01(base.z)};
-  p.metallic = material.metallic;
-  p.roughness = material.roughness;
-  if (const TextureRef& ref = material.metallic_roughness_texture; ref.texture >= 0) {
-    const V4f mr =
-        LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v));
-    p.roughness *= mr.y;
-    p.metallic *= mr.z;
-  }
-  p.transmission = material.transmission;
-  if (const TextureRef& ref = material.transmission_texture;
-      ref.texture >= 0 && material.transmission > 0) {
-    p.transmission *=
-        LookupLinear(scene_.textures[ref.texture], ref, TextureUv(mesh, ref, corner, hit.u, hit.v))
-            .x;
-  }
-  p.ior = material.ior;
-  p.thin_walled = !(material.thickness > 0);
-  p.entering = s.front_face;
-  p.glass_albedo = glass_albedo_[mesh.material];
+  ReadBase(place, &s);
+  if (material.has_specular) ReadSpecular(place, &s.bsdf);
+  // The inside of a solid has no layers.
+  const bool is_outside = s.front_face || s.bsdf.thin_walled || material.transmission <= 0;
+  if (has_layers_[mesh.material] && is_outside) ReadLayers(place, smooth, wo, &s);
   s.absorption = absorption_[mesh.material];
   s.absorbs = !s.front_face && MaxComponent(s.absorption) > 0;
   return s;

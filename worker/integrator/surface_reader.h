@@ -61,14 +61,20 @@ class SurfaceReader {
   uint32_t num_instances() const { return static_cast<uint32_t>(geometries_.size()); }
 
  private:
-  V3f ShadingNormal(const Mesh& mesh, const InstanceGeometry& geometry, const RayHit& hit,
-                    const V3f& geometric_normal, const WorldTriangle& corners) const;
-  V3f MappedNormal(const Material& material, const Mesh& mesh, const InstanceGeometry& geometry,
-                   const RayHit& hit, const V3f& normal, const WorldTriangle& corners) const;
+  // A hit with what its mesh and material make of it, for the readers of parts.
+  struct Place;
+  V3f SmoothNormal(const Place& place) const;
+  V3f MappedNormal(const Place& place, const TextureRef& map, float scale, const V3f& smooth) const;
+  V4f Texel(const Place& place, const TextureRef& ref) const;
+  V4f SrgbTexel(const Place& place, const TextureRef& ref) const;
+  void ReadBase(const Place& place, Surface* surface) const;
+  void ReadSpecular(const Place& place, BsdfParameters* bsdf) const;
+  void ReadLayers(const Place& place, const V3f& smooth, const V3f& wo, Surface* surface) const;
 
   const Scene& scene_;
   std::span<const InstanceGeometry> geometries_;
-  std::vector<V3f> absorption_;  // by material, 1/m
+  std::vector<V3f> absorption_;      // by material, 1/m
+  std::vector<uint8_t> has_layers_;  // by material
   std::vector<std::unique_ptr<const GlassAlbedoTable>> glass_tables_;
   std::vector<const GlassAlbedoTable*> glass_albedo_;  // by material; null: no refracting glass
   std::vector<uint8_t> texture_has_alpha_;             // by texture

@@ -24,6 +24,12 @@ V3f Color(const GltfObject& object, std::string_view field, const std::array<dou
   return V3f(channel(c[0]), channel(c[1]), channel(c[2]));
 }
 
+V4f Rgba(const GltfObject& object, std::string_view field) {
+  const auto c = object.Numbers<4>(field, {1, 1, 1, 1});
+  const auto channel = [](double v) { return static_cast<float>(std::clamp(v, 0.0, 1.0)); };
+  return V4f(channel(c[0]), channel(c[1]), channel(c[2]), channel(c[3]));
+}
+
 TextureWrap ReadWrap(const GltfObject& sampler, std::string_view field) {
   switch (sampler.Integer(field, 10497, 0, 1 << 20)) {
     case 33071:
@@ -49,6 +55,10 @@ class MaterialReader {
   TextureRef ReadTexture(const GltfObject& owner, std::string_view field);
   int AddTexture(const GltfObject& texture);
   void ReadExtensions(const GltfObject& object, Material* material);
+  void ReadSpecular(const GltfObject& specular, Material* material);
+  void ReadSpecularGlossiness(const GltfObject& extension, Material* material);
+  void ReadClearcoat(const GltfObject& clearcoat, Material* material);
+  void ReadSheen(const GltfObject& sheen, Material* material);
 
   GltfDocument* document_;
   bool is_used_ = false;
@@ -124,6 +134,58 @@ void MaterialReader::ReadExtensions(const GltfObject& object, Material* material
   material->thickness = Factor(volume, "thicknessFactor", 0, 0, kFactorMax);
   material->attenuation_color = Color(volume, "attenuationColor", {1, 1, 1});
   material->attenuation_distance = Factor(volume, "attenuationDistance", 0, 0, kFactorMax);
+
+  const GltfObject glossiness = object.Extension("KHR_materials_pbrSpecularGlossiness");
+  if (glossiness.exists()) {
+    ReadSpecularGlossiness(glossiness, material);
+  } else {
+    ReadSpecular(object.Extension("KHR_materials_specular"), material);
+  }
+  ReadClearcoat(object.Extension("KHR_materials_clearcoat"), material);
+  ReadSheen(object.Extension("KHR_materials_sheen"), material);
+}
+
+void MaterialReader::ReadSpecular(const GltfObject& specular, Material* material) {
+  if (!specular.exists()) return;
+  material->specular = Factor(specular, "specularFactor", 1);
+  material->specular_texture = ReadTexture(specular, "specularTexture");
+  material->specular_color = Color(specular, "specularColorFactor", {1, 1, 1}, kFactorMax);
+  material->specular_color_texture = ReadTexture(specular, "specularColorTexture");
+  material->has_specular = true;
+}
+
+// Replaces the metallic-roughness model. A dielectric of infinite index reflects as the colour of
+// its F0 says (KHR_materials_specular, "Conversions").
+void MaterialReader::ReadSpecularGlossiness(const GltfObject& extension, Material* material) {
+  material->base_color = Rgba(extension, "diffuseFactor");
+  material->base_color_texture = ReadTexture(extension, "diffuseTexture");
+  material->metallic = 0;
+  material->metallic_roughness_texture = {};
+  material->roughness = 1 - Factor(extension, "glossinessFactor", 1);
+  material->ior = static_cast<float>(kFactorMax);
+  material->specular_color = Color(extension, "specularFactor", {1, 1, 1});
+  material->specular_color_texture = ReadTexture(extension, "specularGlossinessTexture");
+  material->has_specular = true;
+  material->is_specular_glossiness = true;
+}
+
+void MaterialReader::ReadClearcoat(const GltfObject& clearcoat, Material* material) {
+  material->clearcoat = Factor(clearcoat, "clearcoatFactor", 0);
+  if (material->clearcoat <= 0) return;
+  material->clearcoat_texture = ReadTexture(clearcoat, "clearcoatTexture");
+  material->clearcoat_roughness = Factor(clearcoat, "clearcoatRoughnessFactor", 0);
+  material->clearcoat_roughness_texture = ReadTexture(clearcoat, "clearcoatRoughnessTexture");
+  material->clearcoat_normal_texture = ReadTexture(clearcoat, "clearcoatNormalTexture");
+  material->clearcoat_normal_scale =
+      Factor(clearcoat.Object("clearcoatNormalTexture"), "scale", 1, -kFactorMax, kFactorMax);
+}
+
+void MaterialReader::ReadSheen(const GltfObject& sheen, Material* material) {
+  material->sheen_color = Color(sheen, "sheenColorFactor", {0, 0, 0});
+  if (material->sheen_color == V3f(0, 0, 0)) return;
+  material->sheen_color_texture = ReadTexture(sheen, "sheenColorTexture");
+  material->sheen_roughness = Factor(sheen, "sheenRoughnessFactor", 0);
+  material->sheen_roughness_texture = ReadTexture(sheen, "sheenRoughnessTexture");
 }
 
 Material MaterialReader::Read(const GltfObject& object, bool is_used) {
@@ -132,11 +194,7 @@ Material MaterialReader::Read(const GltfObject& object, bool is_used) {
   material.name = object.Text("name");
 
   const GltfObject pbr = object.Object("pbrMetallicRoughness");
-  const auto color = pbr.Numbers<4>("baseColorFactor", {1, 1, 1, 1});
-  for (int c = 0; c < 4; ++c) {
-    material.base_color[c] =
-        static_cast<float>(std::clamp(color[static_cast<size_t>(c)], 0.0, 1.0));
-  }
+  material.base_color = Rgba(pbr, "baseColorFactor");
   material.base_color_texture = ReadTexture(pbr, "baseColorTexture");
   material.metallic = Factor(pbr, "metallicFactor", 1);
   material.roughness = Factor(pbr, "roughnessFactor", 1);
@@ -184,10 +242,12 @@ absl::StatusOr<MaterialTable> ReadMaterials(GltfDocument* document,
   return table;
 }
 
-bool UsesUvSet(const Material& material, int uv_set) {
+bool UsesUvSet(const Material& m, int uv_set) {
   for (const TextureRef* ref :
-       {&material.base_color_texture, &material.metallic_roughness_texture,
-        &material.emission_texture, &material.normal_texture, &material.transmission_texture}) {
+       {&m.base_color_texture, &m.metallic_roughness_texture, &m.emission_texture,
+        &m.normal_texture, &m.transmission_texture, &m.specular_texture, &m.specular_color_texture,
+        &m.clearcoat_texture, &m.clearcoat_roughness_texture, &m.clearcoat_normal_texture,
+        &m.sheen_color_texture, &m.sheen_roughness_texture}) {
     if (ref->texture >= 0 && ref->uv_set == uv_set) return true;
   }
   return false;

@@ -66,6 +66,25 @@ struct Material {
   float thickness = 0;  // 0 = thin-walled
   V3f attenuation_color = V3f(1, 1, 1);
   float attenuation_distance = 0;  // metres; 0 = infinite
+  // KHR_materials_specular, and KHR_materials_pbrSpecularGlossiness in its terms.
+  bool has_specular = false;  // else the fields below stay as they are here
+  float specular = 1;
+  TextureRef specular_texture;  // alpha
+  V3f specular_color = V3f(1, 1, 1);
+  TextureRef specular_color_texture;    // sRGB
+  bool is_specular_glossiness = false;  // alpha of specular_color_texture is the glossiness
+  // KHR_materials_clearcoat
+  float clearcoat = 0;
+  TextureRef clearcoat_texture;  // r
+  float clearcoat_roughness = 0;
+  TextureRef clearcoat_roughness_texture;  // g
+  TextureRef clearcoat_normal_texture;
+  float clearcoat_normal_scale = 1;
+  // KHR_materials_sheen
+  V3f sheen_color = V3f(0, 0, 0);
+  TextureRef sheen_color_texture;  // sRGB
+  float sheen_roughness = 0;
+  TextureRef sheen_roughness_texture;  // alpha
 };
 
 // Triangles in their own space, one material.
@@ -82,8 +101,8 @@ struct Mesh {
 
 struct Instance {
   int mesh = 0;
-  // Row vectors, as Imath: p' = p * M. Affine, invertible, of positive determinant (the loader
-  // bakes flat transforms and mirrors meshes instead), so fronts stay fronts.
+  // Row vectors, as Imath: p' = p * M. Affine, invertible. A negative determinant mirrors the mesh
+  // and its winding with it, so fronts stay fronts.
   Imath::M44f to_world;
 };
 

@@ -32,6 +32,9 @@ void AddMaterialFeatures(const Material& material, std::set<std::string>* featur
   if (material.transmission > 0) features->insert("transmission");
   if (material.transmission > 0 && material.thickness > 0) features->insert("volume");
   if (material.unlit) features->insert("unlit");
+  if (material.has_specular) features->insert("specular");
+  if (material.clearcoat > 0) features->insert("clearcoat");
+  if (material.sheen_color.length2() > 0) features->insert("sheen");
 }
 
 // What the JSON alone tells, whether or not the scene can be loaded.

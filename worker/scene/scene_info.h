@@ -28,9 +28,9 @@ struct SceneSummary {
   std::vector<std::string> cameras;
   V3d bounds_min = V3d(0, 0, 0);  // glTF's world space, metres
   V3d bounds_max = V3d(0, 0, 0);
-  // Sorted names of what the renderer has to model: alpha_blend, alpha_mask, environment,
-  // emissive_triangles, normal_maps, orthographic_camera, punctual_lights, textures, transmission,
-  // unlit, vertex_colors, volume.
+  // Sorted names of what the renderer has to model: alpha_blend, alpha_mask, clearcoat,
+  // environment, emissive_triangles, normal_maps, orthographic_camera, punctual_lights, sheen,
+  // specular, textures, transmission, unlit, vertex_colors, volume.
   std::vector<std::string> features;
   std::vector<std::string> extensions_used;
   std::vector<std::string> extensions_required;

@@ -80,5 +80,21 @@ TEST(RayOffsetTest, LeavesToTheNormalsSideAtEveryScale) {
   }
 }
 
+TEST(PortableMathTest, LogarithmAndPowers) {
+  for (double x : {1e-37, 1e-20, 1e-3, 0.3, 0.7071067, 0.7071068, 0.99, 1.0, 1.4142, 7.0, 1e30}) {
+    const double expected = std::log(x);
+    EXPECT_NEAR(Ln(static_cast<float>(x)), expected, 2e-6 * std::fabs(expected) + 1e-6) << x;
+  }
+  for (double x : {1e-6, 0.01, 0.5, 0.9, 0.999, 1.0}) {
+    for (double power : {0.17, 0.5, 1.0, 3.0, 40.0}) {
+      const double expected = std::pow(x, power);
+      EXPECT_NEAR(PowUnit(static_cast<float>(x), static_cast<float>(power)), expected,
+                  3e-6 * (1 + std::fabs(std::log(expected + 1e-300))) * expected + 1e-37)
+          << x << " " << power;
+    }
+  }
+  EXPECT_EQ(PowUnit(0, 2), 0);
+}
+
 }  // namespace
 }  // namespace tessera

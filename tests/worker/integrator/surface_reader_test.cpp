@@ -138,5 +138,68 @@ TEST(SurfaceReaderTest, FactorsTexturesAndVertexColoursMultiply) {
   EXPECT_NEAR((s.emission - V3f(2, 0, 6)).length(), 0, 1e-5);
 }
 
+TEST(SurfaceReaderTest, ExtensionsReadTheirTexturesAndChannels) {
+  auto scene = std::make_unique<Scene>();
+  Material m;
+  m.has_specular = true;
+  m.specular = 0.5f;
+  m.specular_color = V3f(1, 0.5f, 2);
+  m.clearcoat = 0.8f;
+  m.clearcoat_roughness = 0.5f;
+  m.sheen_color = V3f(1, 0.5f, 0.25f);
+  m.sheen_roughness = 0.5f;
+  // Codes 51, 102, 153, 204 are 0.2, 0.4, 0.6, 0.8; 255 in sRGB is 1.
+  const int codes = AddTexture({51, 102, 153, 204}, scene.get());
+  const int white = AddTexture({255, 255, 0, 204}, scene.get());
+  m.specular_texture.texture = codes;             // alpha
+  m.specular_color_texture.texture = white;       // rgb
+  m.clearcoat_texture.texture = codes;            // red
+  m.clearcoat_roughness_texture.texture = codes;  // green
+  m.sheen_color_texture.texture = white;          // rgb
+  m.sheen_roughness_texture.texture = codes;      // alpha
+  AddMesh(Quad(AddMaterial(m, scene.get()), {-1, 0, -1}, {0, 0, 2}, {2, 0, 0}), scene.get());
+  const OpenTracer tracer(std::move(scene), 1, 1, 0);
+  const BsdfParameters p = ReadAlong(tracer, {0, 1, 0}, {0.1f, -1, 0}).bsdf;
+  EXPECT_NEAR(p.specular, 0.4f, 1e-6);
+  EXPECT_NEAR((p.specular_color - V3f(1, 0.5f, 0)).length(), 0, 1e-6);
+  ASSERT_TRUE(p.has_layers);
+  EXPECT_NEAR(p.layers.clearcoat, 0.16f, 1e-6);
+  EXPECT_NEAR(p.layers.clearcoat_roughness, 0.2f, 1e-6);
+  EXPECT_NEAR((p.layers.sheen_color - V3f(1, 0.5f, 0)).length(), 0, 1e-6);
+  EXPECT_NEAR(p.layers.sheen_roughness, 0.4f, 1e-6);
+  EXPECT_NEAR((p.layers.clearcoat_normal - V3f(0, 0, 1)).length(), 0, 1e-6);
+}
+
+TEST(SurfaceReaderTest, SpecularGlossinessReadsItsTexture) {
+  auto scene = std::make_unique<Scene>();
+  Material m;
+  m.metallic = 0;
+  m.has_specular = m.is_specular_glossiness = true;
+  m.ior = 1e9f;
+  m.roughness = 0.5f;  // glossinessFactor 0.5
+  m.specular_color = V3f(0.5f);
+  m.specular_color_texture.texture = AddTexture({255, 0, 255, 102}, scene.get());
+  AddMesh(Quad(AddMaterial(m, scene.get()), {-1, 0, -1}, {0, 0, 2}, {2, 0, 0}), scene.get());
+  const OpenTracer tracer(std::move(scene), 1, 1, 0);
+  const BsdfParameters p = ReadAlong(tracer, {0, 1, 0}, {0.1f, -1, 0}).bsdf;
+  EXPECT_NEAR(p.roughness, 0.8f, 1e-6);  // 1 - 0.5 * 0.4
+  EXPECT_NEAR((p.specular_color - V3f(0.5f, 0, 0.5f)).length(), 0, 1e-6);
+  EXPECT_FALSE(p.has_layers);
+}
+
+TEST(SurfaceReaderTest, ClearcoatHasANormalOfItsOwn) {
+  auto scene = std::make_unique<Scene>();
+  Material m;
+  m.clearcoat = 1;
+  m.normal_texture.texture = AddTexture({178, 128, 230, 255}, scene.get());  // tilted
+  Mesh quad = Quad(AddMaterial(m, scene.get()), {-1, 0, -1}, {0, 0, 2}, {2, 0, 0});
+  AddMesh(quad, scene.get());
+  const OpenTracer tracer(std::move(scene), 1, 1, 0);
+  const Surface s = ReadAlong(tracer, {0, 1, 0}, {0.01f, -1, 0});
+  // The base is tilted, the coat is not: seen from the base's frame it leans back.
+  EXPECT_LT(s.shading_normal.y, 0.99f);
+  EXPECT_NEAR(s.bsdf.layers.clearcoat_normal.z, s.shading_normal.y, 1e-5);
+}
+
 }  // namespace
 }  // namespace tessera::testing

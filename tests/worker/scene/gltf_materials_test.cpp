@@ -154,5 +154,93 @@ TEST(GltfMaterials, BadFieldsAreNamed) {
   EXPECT_THAT(source.LoadError(), HasSubstr("textures[0].source: is missing"));
 }
 
+TEST(GltfMaterials, SpecularClearcoatAndSheen) {
+  const Material m = Load(json::parse(R"({"extensions": {
+      "KHR_materials_specular": {"specularFactor": 0.25, "specularColorFactor": [0.5, 2, 1],
+        "specularTexture": {"index": 0}, "specularColorTexture": {"index": 0}},
+      "KHR_materials_clearcoat": {"clearcoatFactor": 0.75, "clearcoatRoughnessFactor": 0.5,
+        "clearcoatTexture": {"index": 0}, "clearcoatRoughnessTexture": {"index": 0},
+        "clearcoatNormalTexture": {"index": 0, "scale": 2}},
+      "KHR_materials_sheen": {"sheenColorFactor": [0.1, 0.2, 3], "sheenRoughnessFactor": 0.4,
+        "sheenColorTexture": {"index": 0}, "sheenRoughnessTexture": {"index": 0}}}})"));
+  EXPECT_TRUE(m.has_specular);
+  EXPECT_FALSE(m.is_specular_glossiness);
+  EXPECT_EQ(m.specular, 0.25f);
+  EXPECT_EQ(m.specular_color, V3f(0.5f, 2, 1));
+  EXPECT_EQ(m.clearcoat, 0.75f);
+  EXPECT_EQ(m.clearcoat_roughness, 0.5f);
+  EXPECT_EQ(m.clearcoat_normal_scale, 2);
+  EXPECT_EQ(m.sheen_color, V3f(0.1f, 0.2f, 1));
+  EXPECT_EQ(m.sheen_roughness, 0.4f);
+  for (const TextureRef* ref :
+       {&m.specular_texture, &m.specular_color_texture, &m.clearcoat_texture,
+        &m.clearcoat_roughness_texture, &m.clearcoat_normal_texture, &m.sheen_color_texture,
+        &m.sheen_roughness_texture}) {
+    EXPECT_EQ(ref->texture, 0);
+  }
+}
+
+TEST(GltfMaterials, SpecularGlossinessReplacesMetallicRoughness) {
+  const Material m = Load(json::parse(R"({
+    "pbrMetallicRoughness": {"baseColorFactor": [0, 1, 0, 1], "metallicFactor": 1,
+                             "metallicRoughnessTexture": {"index": 0}},
+    "extensions": {"KHR_materials_pbrSpecularGlossiness": {
+      "diffuseFactor": [0.1, 0.2, 0.3, 0.4], "specularFactor": [0.5, 0.6, 0.7],
+      "glossinessFactor": 0.75, "diffuseTexture": {"index": 0},
+      "specularGlossinessTexture": {"index": 0}}}})"));
+  EXPECT_TRUE(m.is_specular_glossiness);
+  EXPECT_EQ(m.base_color, V4f(0.1f, 0.2f, 0.3f, 0.4f));
+  EXPECT_EQ(m.base_color_texture.texture, 0);
+  EXPECT_EQ(m.metallic, 0);
+  EXPECT_EQ(m.metallic_roughness_texture.texture, -1);
+  EXPECT_EQ(m.roughness, 0.25f);
+  EXPECT_EQ(m.specular_color, V3f(0.5f, 0.6f, 0.7f));
+  EXPECT_EQ(m.specular_color_texture.texture, 0);
+  EXPECT_GT(m.ior, 1e8f);
+}
+
+// Every texture slot may read either uv set, and KHR_texture_transform's set wins.
+TEST(GltfMaterials, EverySlotReadsTheSecondUvSet) {
+  const json second = {{"index", 0}, {"texCoord", 1}};
+  const json overridden = {
+      {"index", 0},
+      {"texCoord", 0},
+      {"extensions", {{"KHR_texture_transform", {{"scale", {2, 2}}, {"texCoord", 1}}}}}};
+  for (const json& info : {second, overridden}) {
+    const json material = {
+        {"pbrMetallicRoughness", {{"baseColorTexture", info}, {"metallicRoughnessTexture", info}}},
+        {"normalTexture", info},
+        {"emissiveTexture", info},
+        {"extensions",
+         {{"KHR_materials_transmission",
+           {{"transmissionFactor", 1}, {"transmissionTexture", info}}},
+          {"KHR_materials_specular", {{"specularTexture", info}, {"specularColorTexture", info}}},
+          {"KHR_materials_clearcoat",
+           {{"clearcoatFactor", 1},
+            {"clearcoatTexture", info},
+            {"clearcoatRoughnessTexture", info},
+            {"clearcoatNormalTexture", info}}},
+          {"KHR_materials_sheen",
+           {{"sheenColorFactor", {1, 1, 1}},
+            {"sheenColorTexture", info},
+            {"sheenRoughnessTexture", info}}}}}};
+    SceneFile file = WithMaterial(material);
+    PrimitiveOf(file)["attributes"]["TEXCOORD_1"] = file.AddFloats({0, 0, 3, 0, 0, 3}, "VEC2", 2);
+    const auto scene = file.Load();
+    ASSERT_TRUE(scene.ok()) << scene.status();
+    const Material& m = (*scene)->materials[0];
+    for (const TextureRef* ref :
+         {&m.base_color_texture, &m.metallic_roughness_texture, &m.emission_texture,
+          &m.normal_texture, &m.transmission_texture, &m.specular_texture,
+          &m.specular_color_texture, &m.clearcoat_texture, &m.clearcoat_roughness_texture,
+          &m.clearcoat_normal_texture, &m.sheen_color_texture, &m.sheen_roughness_texture}) {
+      EXPECT_EQ(ref->texture, 0);
+      EXPECT_EQ(ref->uv_set, 1);
+    }
+    EXPECT_TRUE((*scene)->meshes[0].uvs[0].empty());  // nothing reads the first set
+    EXPECT_EQ((*scene)->meshes[0].uvs[1][1], V2f(3, 0));
+  }
+}
+
 }  // namespace
 }  // namespace tessera
