@@ -162,7 +162,8 @@ void ReadSparse(const GltfDocument& document, const GltfObject& sparse, GltfAcce
 
 }  // namespace
 
-absl::StatusOr<GltfAccessor> ReadAccessor(const GltfDocument& document, int index) {
+absl::StatusOr<GltfAccessor> ReadAccessor(const GltfDocument& document, int index,
+                                          ValueSource source) {
   const GltfObject object = document.Item("accessors", index);
   GltfAccessor accessor;
   accessor.path = object.path();
@@ -171,6 +172,7 @@ absl::StatusOr<GltfAccessor> ReadAccessor(const GltfDocument& document, int inde
   accessor.count = static_cast<size_t>(object.Integer("count", 0, 0, kCountMax));
   accessor.normalized = object.Flag("normalized", false);
   TESSERA_RETURN_IF_ERROR(object.status());
+  if (source == ValueSource::kCompressed) return accessor;
   accessor.values =
       LocateTable(document, object, accessor.component, accessor.components, accessor.count);
   // Zeros cost nothing in the file: their number must be in proportion to it.

@@ -39,9 +39,14 @@ struct GltfAccessor {
   GltfTable sparse_values;
 };
 
+// Where an accessor's values come from: its buffer view, or a compressed block that is decoded
+// later (then a view is not read, and whoever decodes checks the count).
+enum class ValueSource { kView, kCompressed };
+
 // Needs LoadViews. Threads: const document, but errors stick to it: one thread.
 // Errors: INVALID_ARGUMENT when the accessor is malformed or leaves its view.
-absl::StatusOr<GltfAccessor> ReadAccessor(const GltfDocument& document, int index);
+absl::StatusOr<GltfAccessor> ReadAccessor(const GltfDocument& document, int index,
+                                          ValueSource source = ValueSource::kView);
 
 // Writes the first `width` components of each element to out[i * width ...]; missing components
 // keep what `out` has. `out` holds accessor.count * width floats. Threads: any number at once.

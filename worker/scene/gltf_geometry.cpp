@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "worker/scene/gltf_instancing.h"
 #include "worker/scene/gltf_materials.h"
 #include "worker/scene/gltf_primitive.h"
 #include "worker/scene/mesh_cleaning.h"
@@ -70,6 +71,7 @@ class GeometryPlanner {
   std::map<std::tuple<int, int, bool, int>, int> planned_;  // index into plan_.meshes
   GeometryPlan plan_;
   int64_t num_skipped_ = 0;  // points and lines
+  int64_t num_instances_ = 0;
 };
 
 PrimitiveOutline GeometryPlanner::Outline(const GltfObject& primitive, int index) const {
@@ -112,6 +114,7 @@ const std::vector<PrimitiveOutline>& GeometryPlanner::OutlinesOf(int mesh) {
 
 void GeometryPlanner::AddNode(int node_index) {
   const GltfNode& node = nodes_[static_cast<size_t>(node_index)];
+  const int64_t instance_count = InstanceCount(document_->Item("nodes", node_index), *document_);
   for (const PrimitiveOutline& outline : OutlinesOf(node.mesh)) {
     const bool is_posed = (node.skin >= 0 && outline.has_joints) ||
                           (!node.weights.empty() && outline.has_targets) || IsFlat(node.to_world);
@@ -126,7 +129,10 @@ void GeometryPlanner::AddNode(int node_index) {
     const auto key = std::make_tuple(mesh.mesh, mesh.primitive, mesh.is_mirrored, mesh.posed_by);
     const auto [entry, is_new] = planned_.try_emplace(key, static_cast<int>(plan_.meshes.size()));
     if (is_new) plan_.meshes.push_back(mesh);
-    plan_.instances.push_back({entry->second, node_index});
+    // A posed mesh is in world space: its node shows it once.
+    const int64_t count = is_posed ? 1 : instance_count;
+    plan_.instances.push_back({entry->second, node_index, count});
+    num_instances_ += count;
   }
 }
 
@@ -134,7 +140,7 @@ absl::StatusOr<GeometryPlan> GeometryPlanner::Plan() {
   for (size_t i = 0; i < nodes_.size(); ++i) {
     if (!nodes_[i].in_scene || nodes_[i].mesh < 0) continue;
     AddNode(static_cast<int>(i));
-    if (static_cast<int64_t>(plan_.instances.size()) > kInstancesMax) {
+    if (num_instances_ > kInstancesMax) {
       return absl::InvalidArgumentError(
           absl::StrCat("nodes: more than ", kInstancesMax, " instances; join meshes"));
     }
@@ -180,13 +186,17 @@ struct BuildInput {
 BuiltMesh Build(const PlannedMesh& plan, const BuildInput& input,
                 const std::vector<GltfNode>& nodes) {
   BuiltMesh built;
-  built.status = ReadPrimitive(input.accessors, input.morph_weights, &built.mesh);
+  PrimitiveAccessors accessors = input.accessors;
+  std::vector<std::string> decoded;  // what `accessors` then refer to
+  built.status = DecodeDraco(&accessors, &decoded);
+  if (!built.status.ok()) return built;
+  built.status = ReadPrimitive(accessors, input.morph_weights, &built.mesh);
   if (!built.status.ok()) return built;
   if (plan.posed_by >= 0) {
     static const auto& no_joints = *new std::vector<M44d>();
     const M44d& to_world = nodes[static_cast<size_t>(plan.posed_by)].to_world;
-    absl::StatusOr<V3d> offset = PoseInWorld(
-        input.accessors, input.joints ? *input.joints : no_joints, to_world, &built.mesh);
+    absl::StatusOr<V3d> offset =
+        PoseInWorld(accessors, input.joints ? *input.joints : no_joints, to_world, &built.mesh);
     if (!offset.ok()) {
       built.status = offset.status();
       return built;
@@ -233,7 +243,8 @@ absl::StatusOr<std::vector<BuildInput>> ReadInputs(const GltfDocument& document,
     const Material& material = materials[static_cast<size_t>(mesh.material)];
     AttributeNeeds needs;
     needs.uvs = {UsesUvSet(material, 0), UsesUvSet(material, 1)};
-    needs.tangents = material.normal_texture.texture >= 0;
+    needs.tangents =
+        material.normal_texture.texture >= 0 || material.clearcoat_normal_texture.texture >= 0;
     const GltfObject primitive =
         document.Item("meshes", mesh.mesh).Element("primitives", mesh.primitive);
     TESSERA_ASSIGN_OR_RETURN(inputs[i].accessors,
@@ -249,10 +260,57 @@ absl::StatusOr<std::vector<BuildInput>> ReadInputs(const GltfDocument& document,
   return inputs;
 }
 
+// Where instance `i` of the plan stands; `own` places one of a node's many.
+M44d PlacementOf(const PlannedMesh& mesh, const BuiltMesh& built, const GltfNode& node,
+                 const M44d& own) {
+  M44d to_world = Translation(built.offset);
+  if (mesh.posed_by < 0) to_world *= own * node.to_world;
+  if (!mesh.is_mirrored) return to_world;
+  M44d mirror;
+  mirror[0][0] = -1;
+  return mirror * to_world;
+}
+
+// The instances of the meshes that were kept (`scene_mesh` >= 0), in the plan's order.
+absl::StatusOr<std::vector<PlacedInstance>> PlacePlanned(GltfDocument* document,
+                                                         const std::vector<GltfNode>& nodes,
+                                                         const GeometryPlan& plan,
+                                                         const std::vector<BuiltMesh>& built,
+                                                         const std::vector<int>& scene_mesh) {
+  std::vector<PlacedInstance> placed;
+  int64_t num_flat = 0;
+  for (const PlannedInstance& instance : plan.instances) {
+    const size_t i = static_cast<size_t>(instance.mesh);
+    if (scene_mesh[i] < 0) continue;
+    const PlannedMesh& mesh = plan.meshes[i];
+    const GltfNode& node = nodes[static_cast<size_t>(instance.node)];
+    std::vector<M44d> own;
+    if (mesh.posed_by < 0) {
+      TESSERA_ASSIGN_OR_RETURN(
+          own, ReadInstanceTransforms(*document, document->Item("nodes", instance.node)));
+    }
+    if (own.empty() && instance.count == 1) own.emplace_back();
+    for (const M44d& transform : own) {
+      const M44d to_world = PlacementOf(mesh, built[i], node, transform);
+      if (IsFlat(to_world) || !IsUsable(to_world)) {
+        ++num_flat;
+      } else {
+        placed.push_back({scene_mesh[i], to_world});
+      }
+    }
+  }
+  if (num_flat > 0) {
+    document->AddNote(
+        absl::StrCat(num_flat, " instances without volume or beyond 1e18 m were dropped"));
+  }
+  return placed;
+}
+
 }  // namespace
 
 int64_t GeometryPlan::EstimateBytes() const {
-  int64_t bytes = static_cast<int64_t>(instances.size()) * kInstanceBytes;
+  int64_t bytes = 0;
+  for (const PlannedInstance& instance : instances) bytes += instance.count * kInstanceBytes;
   for (const PlannedMesh& mesh : meshes) {
     bytes += mesh.num_triangles * kTriangleBytes + mesh.num_vertices * kVertexBytes;
   }
@@ -295,20 +353,8 @@ absl::StatusOr<std::vector<PlacedInstance>> BuildGeometry(GltfDocument* document
   }
   AddCleaningNotes(report, document);
 
-  std::vector<PlacedInstance> placed;
-  for (const PlannedInstance& instance : plan.instances) {
-    const size_t i = static_cast<size_t>(instance.mesh);
-    if (scene_mesh[i] < 0) continue;
-    const PlannedMesh& mesh = plan.meshes[i];
-    M44d to_world = Translation(built[i].offset);
-    if (mesh.posed_by < 0) to_world *= nodes[static_cast<size_t>(instance.node)].to_world;
-    if (mesh.is_mirrored) {
-      M44d mirror;
-      mirror[0][0] = -1;
-      to_world = mirror * to_world;
-    }
-    placed.push_back({scene_mesh[i], to_world});
-  }
+  TESSERA_ASSIGN_OR_RETURN(std::vector<PlacedInstance> placed,
+                           PlacePlanned(document, nodes, plan, built, scene_mesh));
   TESSERA_RETURN_IF_ERROR(document->status());
   return placed;
 }

@@ -26,6 +26,7 @@ struct PlannedMesh {
 struct PlannedInstance {
   int mesh = 0;  // index into GeometryPlan::meshes
   int node = 0;
+  int64_t count = 1;  // EXT_mesh_gpu_instancing: as its accessors claim
 };
 
 struct GeometryPlan {

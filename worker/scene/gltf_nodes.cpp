@@ -21,31 +21,9 @@ M44d LocalTransform(const GltfObject& node) {
     for (int row = 0; row < 4; ++row) out[row][3] = row == 3 ? 1 : 0;
     return out;
   }
-  const auto t = node.Numbers<3>("translation", {0, 0, 0});
-  auto q = node.Numbers<4>("rotation", {0, 0, 0, 1});
-  const auto s = node.Numbers<3>("scale", {1, 1, 1});
-  const double length = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
-  if (!(length > 0)) q = {0, 0, 0, 1};
-  if (length > 0) {
-    for (double& value : q) value /= length;
-  }
-  const auto [x, y, z, w] = q;
-  return M44d(s[0] * (1 - 2 * (y * y + z * z)), s[0] * 2 * (x * y + z * w),
-              s[0] * 2 * (x * z - y * w), 0,  //
-              s[1] * 2 * (x * y - z * w), s[1] * (1 - 2 * (x * x + z * z)),
-              s[1] * 2 * (y * z + x * w), 0,  //
-              s[2] * 2 * (x * z + y * w), s[2] * 2 * (y * z - x * w),
-              s[2] * (1 - 2 * (x * x + y * y)), 0,  //
-              t[0], t[1], t[2], 1);
-}
-
-bool IsUsable(const M44d& m) {
-  for (int row = 0; row < 4; ++row) {
-    for (int column = 0; column < 4; ++column) {
-      if (!(std::abs(m[row][column]) <= kCoordinateMax)) return false;
-    }
-  }
-  return true;
+  return TransformOf(node.Numbers<3>("translation", {0, 0, 0}),
+                     node.Numbers<4>("rotation", {0, 0, 0, 1}),
+                     node.Numbers<3>("scale", {1, 1, 1}));
 }
 
 struct Hierarchy {
@@ -99,6 +77,33 @@ absl::Status MarkScene(const GltfDocument& document, const Hierarchy& hierarchy,
 }
 
 }  // namespace
+
+bool IsUsable(const M44d& m) {
+  for (int row = 0; row < 4; ++row) {
+    for (int column = 0; column < 4; ++column) {
+      if (!(std::abs(m[row][column]) <= kCoordinateMax)) return false;
+    }
+  }
+  return true;
+}
+
+M44d TransformOf(const std::array<double, 3>& t, const std::array<double, 4>& rotation,
+                 const std::array<double, 3>& s) {
+  std::array<double, 4> q = rotation;
+  const double length = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+  if (!(length > 0)) q = {0, 0, 0, 1};
+  if (length > 0) {
+    for (double& value : q) value /= length;
+  }
+  const auto [x, y, z, w] = q;
+  return M44d(s[0] * (1 - 2 * (y * y + z * z)), s[0] * 2 * (x * y + z * w),
+              s[0] * 2 * (x * z - y * w), 0,  //
+              s[1] * 2 * (x * y - z * w), s[1] * (1 - 2 * (x * x + z * z)),
+              s[1] * 2 * (y * z + x * w), 0,  //
+              s[2] * 2 * (x * z + y * w), s[2] * 2 * (y * z - x * w),
+              s[2] * (1 - 2 * (x * x + y * y)), 0,  //
+              t[0], t[1], t[2], 1);
+}
 
 absl::StatusOr<std::vector<GltfNode>> ReadNodes(const GltfDocument& document) {
   const int num_nodes = document.Count("nodes");

@@ -1,6 +1,7 @@
 // The node hierarchy: world transforms in double precision, and what hangs on the nodes.
 #pragma once
 
+#include <array>
 #include <vector>
 
 #include "absl/status/statusor.h"
@@ -20,6 +21,13 @@ struct GltfNode {
   std::string name;
   std::vector<double> weights;  // of morph targets; empty = the mesh's
 };
+
+// Scale, then rotation (a quaternion x, y, z, w of any length; zero: none), then translation.
+M44d TransformOf(const std::array<double, 3>& translation, const std::array<double, 4>& rotation,
+                 const std::array<double, 3>& scale);
+
+// Whether all entries are finite and below 1e18: beyond, no float arithmetic survives.
+bool IsUsable(const M44d& m);
 
 // All nodes, by index.
 // Errors: INVALID_ARGUMENT for cycles, nodes with two parents and overflowing transforms.

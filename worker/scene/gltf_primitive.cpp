@@ -11,16 +11,22 @@ namespace {
 
 constexpr int kSkinSetsMax = 4;  // JOINTS_0 to JOINTS_3: 16 influences a vertex
 
+ValueSource SourceOf(const DracoSource& draco, std::string_view attribute) {
+  return draco.attribute_ids.contains(std::string(attribute)) ? ValueSource::kCompressed
+                                                              : ValueSource::kView;
+}
+
 // The accessor that `field` of `owner` names, with one of the allowed widths and `count` elements;
 // none if absent.
 absl::StatusOr<std::optional<GltfAccessor>> ReadOptional(const GltfDocument& document,
                                                          const GltfObject& owner,
                                                          std::string_view field, int width_min,
-                                                         int width_max, size_t count) {
+                                                         int width_max, size_t count,
+                                                         ValueSource source = ValueSource::kView) {
   const int index = owner.Index(field, document.Count("accessors"));
   TESSERA_RETURN_IF_ERROR(owner.status());
   if (index < 0) return std::nullopt;
-  TESSERA_ASSIGN_OR_RETURN(GltfAccessor accessor, ReadAccessor(document, index));
+  TESSERA_ASSIGN_OR_RETURN(GltfAccessor accessor, ReadAccessor(document, index, source));
   if (accessor.components < width_min || accessor.components > width_max) {
     owner.Fail(field, absl::StrCat("has ", accessor.components, " components; ", width_min,
                                    width_min == width_max ? "" : " or more", " are needed"));
@@ -51,16 +57,38 @@ absl::Status ReadSkinSets(const GltfDocument& document, const GltfObject& attrib
                           PrimitiveAccessors* out) {
   for (int set = 0; set < kSkinSetsMax; ++set) {
     const size_t count = out->position.count;
-    TESSERA_ASSIGN_OR_RETURN(
-        auto joints, ReadOptional(document, attributes, absl::StrCat("JOINTS_", set), 4, 4, count));
-    TESSERA_ASSIGN_OR_RETURN(
-        auto weights,
-        ReadOptional(document, attributes, absl::StrCat("WEIGHTS_", set), 4, 4, count));
+    const std::string joints_name = absl::StrCat("JOINTS_", set);
+    const std::string weights_name = absl::StrCat("WEIGHTS_", set);
+    TESSERA_ASSIGN_OR_RETURN(auto joints, ReadOptional(document, attributes, joints_name, 4, 4,
+                                                       count, SourceOf(out->draco, joints_name)));
+    TESSERA_ASSIGN_OR_RETURN(auto weights, ReadOptional(document, attributes, weights_name, 4, 4,
+                                                        count, SourceOf(out->draco, weights_name)));
     if (!joints || !weights) break;
     out->joints.push_back(*std::move(joints));
     out->joint_weights.push_back(*std::move(weights));
   }
   return absl::OkStatus();
+}
+
+// KHR_draco_mesh_compression of the primitive, if it has that.
+absl::Status ReadDracoSource(const GltfDocument& document, const GltfObject& primitive,
+                             DracoSource* draco) {
+  const GltfObject extension = primitive.Extension("KHR_draco_mesh_compression");
+  if (!extension.exists()) return absl::OkStatus();
+  const int view = extension.Index("bufferView", document.Count("bufferViews"));
+  if (view < 0) extension.Fail("bufferView", "is missing");
+  const GltfObject attributes = extension.Object("attributes");
+  if (!attributes.Has("POSITION")) attributes.Fail("POSITION", "is missing");
+  TESSERA_RETURN_IF_ERROR(primitive.status());
+  draco->compressed = document.View(view).bytes;
+  for (const char* name :
+       {"POSITION", "NORMAL", "TANGENT", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0", "JOINTS_0",
+        "JOINTS_1", "JOINTS_2", "JOINTS_3", "WEIGHTS_0", "WEIGHTS_1", "WEIGHTS_2", "WEIGHTS_3"}) {
+    if (!attributes.Has(name)) continue;
+    draco->attribute_ids[name] =
+        static_cast<uint32_t>(attributes.Integer(name, 0, 0, int64_t{1} << 31));
+  }
+  return primitive.status();
 }
 
 // Adds weight * delta to the first three components of each of `values`.
@@ -146,35 +174,42 @@ absl::StatusOr<PrimitiveAccessors> ReadPrimitiveAccessors(const GltfDocument& do
   PrimitiveAccessors out;
   out.path = primitive.path();
   out.mode = static_cast<PrimitiveMode>(primitive.Integer("mode", 4, 0, 6));
+  TESSERA_RETURN_IF_ERROR(ReadDracoSource(document, primitive, &out.draco));
+  // A compressed block holds triangles, whatever the mode.
+  if (out.draco.compressed.data() != nullptr) out.mode = PrimitiveMode::kTriangles;
   const GltfObject attributes = primitive.Object("attributes");
   const int num_accessors = document.Count("accessors");
   const int position = attributes.Index("POSITION", num_accessors);
   if (position < 0) attributes.Fail("POSITION", "is missing");
   TESSERA_RETURN_IF_ERROR(primitive.status());
-  TESSERA_ASSIGN_OR_RETURN(out.position, ReadAccessor(document, position));
+  TESSERA_ASSIGN_OR_RETURN(out.position,
+                           ReadAccessor(document, position, SourceOf(out.draco, "POSITION")));
   if (out.position.components != 3) attributes.Fail("POSITION", "must be VEC3");
-  const size_t count = out.position.count;
+  const auto read = [&](const std::string& name, int width_min, int width_max) {
+    return ReadOptional(document, attributes, name, width_min, width_max, out.position.count,
+                        SourceOf(out.draco, name));
+  };
 
-  TESSERA_ASSIGN_OR_RETURN(out.normal, ReadOptional(document, attributes, "NORMAL", 3, 3, count));
+  TESSERA_ASSIGN_OR_RETURN(out.normal, read("NORMAL", 3, 3));
   // Tangents without normals have no meaning (glTF 2.0, section 3.7.2.1).
   if (needs.tangents && out.normal) {
-    TESSERA_ASSIGN_OR_RETURN(out.tangent,
-                             ReadOptional(document, attributes, "TANGENT", 4, 4, count));
+    TESSERA_ASSIGN_OR_RETURN(out.tangent, read("TANGENT", 4, 4));
   }
   for (size_t set = 0; set < 2; ++set) {
     if (!needs.uvs[set]) continue;
-    TESSERA_ASSIGN_OR_RETURN(
-        out.uvs[set],
-        ReadOptional(document, attributes, absl::StrCat("TEXCOORD_", set), 2, 2, count));
+    TESSERA_ASSIGN_OR_RETURN(out.uvs[set], read(absl::StrCat("TEXCOORD_", set), 2, 2));
   }
-  TESSERA_ASSIGN_OR_RETURN(out.color, ReadOptional(document, attributes, "COLOR_0", 3, 4, count));
+  TESSERA_ASSIGN_OR_RETURN(out.color, read("COLOR_0", 3, 4));
   TESSERA_RETURN_IF_ERROR(ReadSkinSets(document, attributes, &out));
   TESSERA_RETURN_IF_ERROR(ReadTargets(document, primitive, &out));
 
   const int indices = primitive.Index("indices", num_accessors);
   TESSERA_RETURN_IF_ERROR(primitive.status());
   if (indices >= 0) {
-    TESSERA_ASSIGN_OR_RETURN(out.indices, ReadAccessor(document, indices));
+    const bool is_compressed = out.draco.compressed.data() != nullptr;
+    TESSERA_ASSIGN_OR_RETURN(
+        out.indices, ReadAccessor(document, indices,
+                                  is_compressed ? ValueSource::kCompressed : ValueSource::kView));
   }
   return out;
 }

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "worker/scene/draco_mesh.h"
 #include "worker/scene/gltf_accessor.h"
 #include "worker/scene/scene.h"
 
@@ -27,6 +28,7 @@ struct PrimitiveAccessors {
   std::array<std::optional<GltfAccessor>, 2> uvs;
   std::vector<GltfAccessor> joints, joint_weights;  // sets of four, equally many
   std::vector<MorphTarget> targets;
+  DracoSource draco;  // if compressed, DecodeDraco fills in the accessors' values
 };
 
 // Which optional vertex attributes the material needs.
