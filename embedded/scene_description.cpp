@@ -44,6 +44,7 @@ absl::StatusOr<SceneDescription> DescribeScene(const std::string& path) {
   add("bounds_min", Vector(summary->bounds_min));
   add("bounds_max", Vector(summary->bounds_max));
   add("memory_bytes", summary->memory_bytes);
+  add("shading_bytes", summary->shading_bytes);
   add("features", summary->features);
   json["extensions_used"] = summary->extensions_used;
   json["extensions_required"] = summary->extensions_required;

@@ -61,10 +61,14 @@ class Bsdf {
   bool Sample(float u_lobe, const Imath::V2f& u, BsdfSample* sample) const;
   // Whether light can arrive from below.
   bool transmits() const { return glass_weight_ > 0; }
+  // Whether it shows other surfaces rather than itself: a bare, all but smooth mirror or glass.
+  bool IsMirror() const { return !layers_ && alpha_ <= kMirrorAlpha && p_diffuse_ <= 0.02f; }
   // Reflectance (and glass's transmittance) towards wo under uniform light, [0, 1].
   Imath::V3f Albedo() const;
 
  private:
+  static constexpr float kMirrorAlpha = 0.0025f;  // roughness 0.05
+
   bool SampleDirection(float u_lobe, const Imath::V2f& u, Imath::V3f* wi) const;
   BsdfValue EvaluateBase(const Imath::V3f& wi) const;
   Imath::V3f BaseAlbedo() const;

@@ -65,14 +65,16 @@ std::vector<LightGuide::Point> LightGuide::TracePaths(const Parts& parts) {
         break;
       }
       const Surface surface = parts.surfaces.Read(hit, -ray.direction);
-      points.push_back({surface.position, surface.geometric_normal});
+      // Off the surface, where its rays start.
+      const V3f origin =
+          OffsetRayOrigin(surface.position, surface.geometric_normal, surface.coordinate_max);
+      points.push_back({origin, surface.geometric_normal});
       // On by the cosine, as from a diffuse surface.
       const V2f u = sampler.Get2D(static_cast<uint32_t>(bounce) + 1);
       const SinCos<float> phi = SinCosTurns(u.x);
       const float r = std::sqrt(u.y);
       const V3f local(r * phi.cos, r * phi.sin, std::sqrt(1 - u.y));
-      ray = {OffsetRayOrigin(surface.position, surface.geometric_normal),
-             Unit(Onb(surface.geometric_normal).ToWorld(local)), kInfinity};
+      ray = {origin, Unit(Onb(surface.geometric_normal).ToWorld(local)), kInfinity};
     }
   }
   return points;
@@ -132,8 +134,7 @@ LightGuide::Region LightGuide::LearnRegion(const Parts& parts, const Point* poin
       const DirectionSample d = parts.environment.SampleCell(cell, sampler.Get2D(0));
       if (!(d.pdf > 0) || d.direction.dot(p.normal) <= 0) continue;
       ++rays;
-      seen += parts.embree.Transmittance(
-          {OffsetRayOrigin(p.position, p.normal), d.direction, kInfinity});
+      seen += parts.embree.Transmittance({p.position, d.direction, kInfinity});
     }
     // Half a ray's doubt.
     const float share = rays > 0 ? (seen + 0.5f) / (static_cast<float>(rays) + 1) : 1.f;

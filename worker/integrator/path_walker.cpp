@@ -46,6 +46,8 @@ struct PathWalker::PathState {
   Ray ray;  // unit direction
   RayHit hit;
   bool escaped;
+  V3f medium = V3f(0, 0, 0);   // absorption where the ray is, 1/m, as the last boundary says
+  bool seeks_features = true;  // only mirrors and clear glass were met so far
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);
   int depth = 0;   // surfaces scattered at so far
@@ -112,11 +114,13 @@ void PathWalker::SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb
   }
   if (!(MaxComponent(contribution) > 0)) return;
   const V3f origin = OffsetRayOrigin(
-      surface.position, above > 0 ? surface.geometric_normal : -surface.geometric_normal);
+      surface.position, above > 0 ? surface.geometric_normal : -surface.geometric_normal,
+      surface.coordinate_max);
   if (light.at_infinity) {
     path->shadow = {origin, light.wi, kInfinity};
   } else {
-    const V3f target = OffsetRayOrigin(light.point, light.point_normal);
+    const V3f target = OffsetRayOrigin(light.point, light.point_normal,
+                                       std::max(surface.coordinate_max, MaxAbs(light.point)));
     path->shadow = {origin, target - origin, 1};
   }
   path->direct = contribution;
@@ -138,11 +142,33 @@ bool PathWalker::Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& fr
     path->throughput *= 1 / most;
   }
   path->ray = {OffsetRayOrigin(surface.position,
-                               above > 0 ? surface.geometric_normal : -surface.geometric_normal),
+                               above > 0 ? surface.geometric_normal : -surface.geometric_normal,
+                               surface.coordinate_max),
                direction, kInfinity};
+  if (scattered.wi.z < 0 && !surface.bsdf.thin_walled) {
+    path->medium = surface.front_face ? surface.absorption : V3f(0, 0, 0);
+  }
   path->pdf = scattered.pdf;
   ++path->depth;
   return true;
+}
+
+// Albedo and normal of the first surface that is no mirror, seen through those before it; until it
+// is met, of the mirrors themselves. The albedo is tinted by what they and the media between let
+// through.
+void PathWalker::StoreFeatures(const Surface& surface, const V3f& albedo, const PathState* path,
+                               PixelSample* sample) const {
+  if (!path->seeks_features) return;
+  for (int c = 0; c < 3; ++c) {
+    sample->albedo[c] = albedo[c] * Clamp01(path->throughput[c]);
+  }
+  Store(surface.shading_normal, sample->normal);
+}
+
+// Mirrors that show the sky: white, tinted by them; the normal stays the last mirror's.
+void PathWalker::StoreSkyFeatures(const PathState& path, PixelSample* sample) const {
+  if (!path.seeks_features || path.depth == 0) return;
+  for (int c = 0; c < 3; ++c) sample->albedo[c] = Clamp01(path.throughput[c]);
 }
 
 void PathWalker::Start(const PathRequest& request, PathState* path) const {
@@ -161,8 +187,10 @@ bool PathWalker::Shade(PathState* path, PixelSample* sample) const {
   const RayHit& hit = path->hit;
   const V3f wo = -path->ray.direction;
   const Surface surface = parts_.surfaces.Read(hit, wo);
-  if (surface.absorbs) {
-    for (int c = 0; c < 3; ++c) path->throughput[c] *= ExpNegative(-surface.absorption[c] * hit.t);
+  // A solid's own boundary knows best what lies behind it, whatever the path has crossed.
+  const V3f& absorption = surface.absorbs ? surface.absorption : path->medium;
+  if (MaxComponent(absorption) > 0) {
+    for (int c = 0; c < 3; ++c) path->throughput[c] *= ExpNegative(-absorption[c] * hit.t);
   }
   AddEmission(surface, path);
   const Onb frame(surface.shading_normal);
@@ -171,15 +199,15 @@ bool PathWalker::Shade(PathState* path, PixelSample* sample) const {
   if (path->depth == 0) {
     sample->depth = hit.t;
     sample->material_id = surface.material + 1;
-    Store(surface.shading_normal, sample->normal);
   }
   const int max_depth = std::min(parts_.max_depth, kDepthLimit);
   if (!scatters || path->depth > max_depth) {
-    if (path->depth == 0 && surface.unlit) Store(surface.bsdf.base_color, sample->albedo);
+    if (surface.unlit) StoreFeatures(surface, surface.bsdf.base_color, path, sample);
     return false;
   }
   const Bsdf bsdf(surface.bsdf, local_wo);
-  if (path->depth == 0) Store(bsdf.Albedo(), sample->albedo);
+  StoreFeatures(surface, bsdf.Albedo(), path, sample);
+  if (!bsdf.IsMirror()) path->seeks_features = false;
   const SobolSampler::Points numbers = path->request->sampler.Get4x2D(
       kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path->depth),
       path->request->seeds);
@@ -217,6 +245,7 @@ void PathWalker::Trace(std::span<const PathRequest> requests, std::span<PixelSam
       const int i = met[k];
       if (paths[i].escaped) {
         AddEscaped(&paths[i]);
+        StoreSkyFeatures(paths[i], &samples[i]);
       } else if (Shade(&paths[i], &samples[i])) {
         walking[num_next++] = i;
       }

@@ -54,6 +54,9 @@ class PathWalker {
   void Start(const PathRequest& request, PathState* path) const;
   bool Shade(PathState* path, PixelSample* sample) const;
   void AddEscaped(PathState* path) const;
+  void StoreFeatures(const Surface& surface, const V3f& albedo, const PathState* path,
+                     PixelSample* sample) const;
+  void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
   void AddEmission(const Surface& surface, PathState* path) const;
   void SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
                    const SobolSampler::Points& numbers, PathState* path) const;

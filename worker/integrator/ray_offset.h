@@ -1,29 +1,28 @@
-// Moves a ray's origin off the surface that it starts on, by ulps and not by a scene's epsilon.
-// Waechter & Binder 2019, "A Fast and Robust Method for Avoiding Self-Intersection",
-// Ray Tracing Gems, chapter 6.
+// Moves a ray's origin off the surface that it starts on, by what rounding can have displaced it,
+// and not by a scene's epsilon. After Waechter & Binder 2019, "A Fast and Robust Method for
+// Avoiding Self-Intersection", Ray Tracing Gems, chapter 6; but the distance follows from the
+// coordinates that the point was computed from, so that it does not depend on the unit of length.
 #pragma once
 
 #include <Imath/ImathVec.h>
 
-#include <bit>
 #include <cmath>
-#include <cstdint>
 
 namespace tessera {
 
-// `p` on the surface; `n` its unit geometric normal on the side to which the ray leaves.
-inline Imath::V3f OffsetRayOrigin(const Imath::V3f& p, const Imath::V3f& n) {
-  constexpr float kOrigin = 1.f / 32;  // metres; below it a fixed distance is used
-  constexpr float kFloatScale = 1.f / 65536;
-  constexpr float kIntScale = 256;  // ulps along a unit normal
-  Imath::V3f out;
-  for (int c = 0; c < 3; ++c) {
-    const int32_t ulps = static_cast<int32_t>(kIntScale * n[c]);
-    const float moved =
-        std::bit_cast<float>(std::bit_cast<int32_t>(p[c]) + (p[c] < 0 ? -ulps : ulps));
-    out[c] = std::fabs(p[c]) < kOrigin ? p[c] + kFloatScale * n[c] : moved;
-  }
-  return out;
+// The largest magnitude of a coordinate.
+inline float MaxAbs(const Imath::V3f& p) {
+  const float x = std::fabs(p.x), y = std::fabs(p.y), z = std::fabs(p.z);
+  const float xy = x > y ? x : y;
+  return xy > z ? xy : z;
+}
+
+// `p` on the surface; `n` its unit geometric normal on the side to which the ray leaves;
+// `coordinate_max`: the largest magnitude among the coordinates behind p (the triangle's corners).
+// Interpolating corners errs by 7 half-ulps of it (Pharr, Jakob & Humphreys 2016, section 3.9.4),
+// and the next intersection test by some more; 64 are moved.
+inline Imath::V3f OffsetRayOrigin(const Imath::V3f& p, const Imath::V3f& n, float coordinate_max) {
+  return p + n * (coordinate_max * 0x1p-18f);
 }
 
 }  // namespace tessera

@@ -6,6 +6,7 @@
 
 #include "worker/integrator/onb.h"
 #include "worker/integrator/portable_math.h"
+#include "worker/integrator/ray_offset.h"
 #include "worker/integrator/texture_lookup.h"
 
 namespace tessera {
@@ -297,6 +298,11 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   const bool turned = geometry.instanced && geometry.transform.mirrors;
   const float ub = turned ? hit.v : hit.u, uc = turned ? hit.u : hit.v;
   s.position = t.a * (1 - ub - uc) + t.b * ub + t.c * uc;
+  s.coordinate_max = std::max({MaxAbs(t.a), MaxAbs(t.b), MaxAbs(t.c)});
+  if (geometry.instanced) {
+    const Imath::M44f& m = geometry.transform.to_world;
+    s.coordinate_max = std::max(s.coordinate_max, MaxAbs({m[3][0], m[3][1], m[3][2]}));
+  }
   V3f ng = Unit((t.b - t.a).cross(t.c - t.a));
   const V3f smooth = SmoothNormal(place);
   V3f ns = smooth;

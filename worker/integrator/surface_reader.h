@@ -26,14 +26,15 @@ struct RayHit {
 
 struct Surface {
   V3f position;
+  float coordinate_max;  // largest magnitude among the numbers behind `position` (ray_offset.h)
   V3f geometric_normal;  // unit, on the side of wo
   V3f shading_normal;    // unit, on the side of wo; wo and its mirror image are above the surface
   bool front_face;       // wo is on the side where the triangle turns counter-clockwise
   uint32_t material;     // index into Scene::materials
   V3f emission;          // radiance towards wo (unlit: the surface's colour)
   bool unlit;
-  bool absorbs;    // wo is inside a medium with Beer-Lambert absorption
-  V3f absorption;  // 1/m, of the medium behind the surface's front
+  bool absorbs;    // wo is inside the solid that the surface bounds, and that absorbs
+  V3f absorption;  // Beer-Lambert, 1/m, of the medium behind the surface's front
   BsdfParameters bsdf;
 };
 

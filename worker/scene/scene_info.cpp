@@ -23,6 +23,17 @@ const Material& MaterialOf(const Scene& scene, const Mesh& mesh) {
   return scene.materials[static_cast<size_t>(mesh.material)];
 }
 
+template <typename T>
+int64_t BytesOf(const std::vector<T>& values) {
+  return static_cast<int64_t>(values.size() * sizeof(T));
+}
+
+// Of all but positions and triangles.
+int64_t ShadingBytes(const Mesh& mesh) {
+  return BytesOf(mesh.normals) + BytesOf(mesh.tangents) + BytesOf(mesh.uvs[0]) +
+         BytesOf(mesh.uvs[1]) + BytesOf(mesh.colors);
+}
+
 void AddMaterialFeatures(const Material& material, std::set<std::string>* features) {
   const auto has = [](const TextureRef& ref) { return ref.texture >= 0; };
   if (material.alpha_mode == AlphaMode::kMask) features->insert("alpha_mask");
@@ -71,6 +82,7 @@ void DescribeScene(const Scene& scene, SceneSummary* summary) {
   summary->punctual_lights = static_cast<int64_t>(scene.lights.size());
   for (const Mesh& mesh : scene.meshes) {
     summary->unique_triangles += static_cast<int64_t>(mesh.triangles.size());
+    summary->shading_bytes += ShadingBytes(mesh);
   }
   Imath::Box3d bounds;
   for (const Instance& instance : scene.instances) {

@@ -35,7 +35,8 @@ struct SceneSummary {
   std::vector<std::string> extensions_used;
   std::vector<std::string> extensions_required;
   std::vector<std::string> extensions_unsupported;  // of those used or required
-  int64_t memory_bytes = 0;                         // scene and acceleration structures, estimated
+  int64_t memory_bytes = 0;   // scene and acceleration structures, estimated
+  int64_t shading_bytes = 0;  // of vertex data that Embree does not read, each mesh once
   std::vector<std::string> notes;
 };
 

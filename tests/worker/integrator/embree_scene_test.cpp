@@ -87,8 +87,8 @@ TEST(EmbreeSceneTest, InstancesAreTransformed) {
 
 TEST(EmbreeSceneTest, OffsetRaysDoNotMeetTheirOwnSurface) {
   // Spheres of several sizes far from the origin: a ray that leaves outward meets nothing.
-  for (float radius : {0.01f, 1.f, 300.f}) {
-    for (float away : {0.f, 10.f, 5000.f}) {
+  for (float radius : {1e-4f, 0.01f, 1.f, 300.f, 1e6f}) {
+    for (float away : {0.f, 10.f * radius, 5000.f * radius}) {
       auto scene = std::make_unique<Scene>();
       const V3f centre(away, -away, 0.5f * away);
       AddMesh(Sphere(AddMaterial(Lambert(V3f(1)), scene.get()), centre, radius, 32, false),
@@ -105,7 +105,7 @@ TEST(EmbreeSceneTest, OffsetRaysDoNotMeetTheirOwnSurface) {
         if (!tracer.embree().Intersect({from, direction, 1e30f}, 0, &hit)) continue;
         ++hits;
         const Surface s = tracer.surfaces().Read(hit, -direction);
-        const V3f origin = OffsetRayOrigin(s.position, s.geometric_normal);
+        const V3f origin = OffsetRayOrigin(s.position, s.geometric_normal, s.coordinate_max);
         // Grazing along an edge direction of the sphere, slightly outward.
         const V3f tangent = s.geometric_normal.cross(V3f(0.3f, 0.5f, 0.8f)).normalized();
         const V3f leaving = (tangent + s.geometric_normal * 0.01f).normalized();

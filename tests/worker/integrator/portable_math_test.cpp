@@ -71,12 +71,13 @@ TEST(OnbTest, IsOrthonormalAndRightHanded) {
 }
 
 TEST(RayOffsetTest, LeavesToTheNormalsSideAtEveryScale) {
-  for (float scale : {0.f, 1e-6f, 1e-2f, 1.f, -7.5f, 1e3f, -1e5f}) {
-    const Imath::V3f p(scale, -scale, scale), n(0.6f, -0.64f, 0.48f);
-    const float moved = (OffsetRayOrigin(p, n) - p).dot(n);
-    EXPECT_GT(moved, 0) << scale;
-    EXPECT_LT(moved, 1e-4f * std::max(1.f, std::fabs(scale))) << scale;
-    EXPECT_EQ(OffsetRayOrigin(p, Imath::V3f(0, 0, 0)), p);
+  for (float scale : {1e-6f, 1e-2f, 1.f, -7.5f, 1e3f, -1e7f}) {
+    const Imath::V3f p(scale, -scale, 0.1f * scale), n(0.6f, -0.64f, 0.48f);
+    const float coordinate = MaxAbs(p);
+    const float moved = (OffsetRayOrigin(p, n, coordinate) - p).dot(n);
+    EXPECT_GT(moved, 1e-6f * coordinate) << scale;
+    EXPECT_LT(moved, 1e-5f * coordinate) << scale;
+    EXPECT_EQ(OffsetRayOrigin(p, Imath::V3f(0, 0, 0), coordinate), p);
   }
 }
 

@@ -22,7 +22,7 @@ TEST(SceneInfo, DescribesALoadableScene) {
       R"([{"type": "perspective", "name": "eye", "perspective": {"yfov": 1}}])");
   file.json["nodes"] = {{{"mesh", 0}}, {{"mesh", 0}, {"translation", {2, 0, 0}}}, {{"camera", 0}}};
   file.json["scenes"][0]["nodes"] = {0, 1, 2};
-  file.json["extensionsUsed"] = {"KHR_materials_sheen", "KHR_lights_punctual"};
+  file.json["extensionsUsed"] = {"KHR_materials_iridescence", "KHR_lights_punctual"};
   const AssetReader reader = file.Reader();
   const auto summary = SummarizeScene(file.request, reader);
   ASSERT_TRUE(summary.ok()) << summary.status();
@@ -35,20 +35,21 @@ TEST(SceneInfo, DescribesALoadableScene) {
   EXPECT_THAT(summary->materials, ElementsAre("glow", "unused"));
   EXPECT_THAT(summary->cameras, ElementsAre("eye"));
   EXPECT_THAT(summary->features, ElementsAre("alpha_blend", "emissive_triangles", "vertex_colors"));
-  EXPECT_THAT(summary->extensions_unsupported, ElementsAre("KHR_materials_sheen"));
+  EXPECT_THAT(summary->extensions_unsupported, ElementsAre("KHR_materials_iridescence"));
   EXPECT_EQ(summary->bounds_min, V3d(0, 0, 0));
   EXPECT_EQ(summary->bounds_max, V3d(3, 1, 0));
   EXPECT_GT(summary->memory_bytes, 0);
+  EXPECT_EQ(summary->shading_bytes, 3 * 16);  // three vertex colours
 }
 
 TEST(SceneInfo, DescribesWhatCannotBeLoaded) {
   SceneFile file = OneTriangle();
-  file.json["extensionsRequired"] = {"KHR_draco_mesh_compression"};
+  file.json["extensionsRequired"] = {"KHR_texture_basisu"};
   const AssetReader reader = file.Reader();
   const auto summary = SummarizeScene(file.request, reader);
   ASSERT_TRUE(summary.ok());
-  EXPECT_THAT(std::string(summary->loadable.message()), HasSubstr("KHR_draco_mesh_compression"));
-  EXPECT_THAT(summary->extensions_unsupported, ElementsAre("KHR_draco_mesh_compression"));
+  EXPECT_THAT(std::string(summary->loadable.message()), HasSubstr("KHR_texture_basisu"));
+  EXPECT_THAT(summary->extensions_unsupported, ElementsAre("KHR_texture_basisu"));
   EXPECT_EQ(summary->triangles, 0);
 }
 
