@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <optional>
 
 #include "core/base/check.h"
 #include "worker/integrator/onb.h"
@@ -45,7 +46,6 @@ struct PathWalker::PathState {
   const PathRequest* request;
   Ray ray;  // unit direction
   RayHit hit;
-  bool escaped;
   V3f medium = V3f(0, 0, 0);   // absorption where the ray is, 1/m, as the last boundary says
   bool seeks_features = true;  // only mirrors and clear glass were met so far
   V3f throughput = V3f(1, 1, 1);
@@ -54,11 +54,42 @@ struct PathWalker::PathState {
   float pdf = 0;   // 1/sr, with which the ray's direction was drawn; depth > 0
   LightView view;  // from the surface that the ray leaves; depth > 0
   uint64_t hash_key;
-  // What a light adds if nothing is in the way of the shadow ray.
-  bool has_shadow = false;
+
+  // Of the bounce at hand.
+  std::optional<Surface> surface;
+  std::optional<Onb> frame;
+  std::optional<Bsdf> bsdf;
+  SobolSampler::Points numbers;
+  LightSample light;
   Ray shadow;
-  V3f direct;
+  V3f direct;  // what the light adds if nothing is in the way of the shadow ray
 };
+
+// Paths by index; lists of those that take part in a step.
+struct PathWalker::Batch {
+  class List {
+   public:
+    void Clear() { size_ = 0; }
+    void Add(int path) { paths_[size_++] = static_cast<uint8_t>(path); }
+    const uint8_t* begin() const { return paths_.data(); }
+    const uint8_t* end() const { return paths_.data() + size_; }
+    int size() const { return size_; }
+
+   private:
+    int size_ = 0;
+    std::array<uint8_t, kPathsMax> paths_;
+  };
+
+  std::array<PathState, kPathsMax> paths;
+  std::span<PixelSample> samples;
+  List walking;  // have a ray to trace
+  List met;      // met a surface that scatters
+  List lit;      // have a shadow ray to trace
+  int64_t rays = 0;
+};
+
+PathWalker::PathWalker(const Parts& parts)
+    : parts_(parts), max_depth_(std::min(parts.max_depth, kDepthLimit)) {}
 
 float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) const {
   if (parts_.strategy != LightStrategy::kBoth && other_pdf > 0) {
@@ -67,6 +98,40 @@ float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) 
   // Power heuristic, exponent 2, as a ratio that cannot overflow.
   const float ratio = other_pdf / pdf;
   return 1 / (1 + ratio * ratio);
+}
+
+void PathWalker::Start(const PathRequest& request, PathState* path) const {
+  path->request = &request;
+  path->hash_key = request.sampler.HashKey();
+  const SobolSampler::Points numbers = request.sampler.Get4x2D(kPixelGroup, request.seeds);
+  const V2f in_pixel = numbers[kPixelGroup];
+  const V2f lens = parts_.camera.has_lens() ? numbers[kLensGroup] : V2f(0.5f, 0.5f);
+  const CameraRay ray = parts_.camera.At(static_cast<float>(request.x) + in_pixel.x,
+                                         static_cast<float>(request.y) + in_pixel.y, lens);
+  path->ray = {ray.origin, ray.direction, kInfinity};
+}
+
+// Leaves in `met` the paths that hit something; what the others see is added.
+void PathWalker::Intersect(Batch* batch) const {
+  Batch::List escaped;
+  batch->met.Clear();
+  batch->rays += batch->walking.size();
+  for (int i : batch->walking) {
+    PathState& path = batch->paths[i];
+    const uint64_t key = path.hash_key + static_cast<uint64_t>(path.depth);
+    const bool hit = parts_.embree.Intersect(path.ray, key, &path.hit);
+    (hit ? batch->met : escaped).Add(i);
+  }
+  for (int i : escaped) {
+    AddEscaped(&batch->paths[i]);
+    StoreSkyFeatures(batch->paths[i], &batch->samples[i]);
+  }
+}
+
+// Mirrors that show the sky: white, tinted by them; the normal stays the last mirror's.
+void PathWalker::StoreSkyFeatures(const PathState& path, PixelSample* sample) const {
+  if (!path.seeks_features || path.depth == 0) return;
+  for (int c = 0; c < 3; ++c) sample->albedo[c] = Clamp01(path.throughput[c]);
 }
 
 void PathWalker::AddEscaped(PathState* path) const {
@@ -81,7 +146,67 @@ void PathWalker::AddEscaped(PathState* path) const {
   path->radiance += path->throughput * radiance * weight;
 }
 
-void PathWalker::AddEmission(const Surface& surface, PathState* path) const {
+// Reads the surfaces that were met; leaves in `met` those from which the path may go on.
+void PathWalker::Read(Batch* batch) const {
+  for (int i : batch->met) {
+    PathState& path = batch->paths[i];
+    path.surface = parts_.surfaces.Read(path.hit, -path.ray.direction);
+  }
+  Batch::List scattering;
+  for (int i : batch->met) {
+    if (Arrive(&batch->paths[i], &batch->samples[i])) scattering.Add(i);
+  }
+  batch->met = scattering;
+  for (int i : batch->met) {
+    PathState& path = batch->paths[i];
+    if (path.seeks_features) {
+      StoreFeatures(path, path.bsdf->Albedo(), &batch->samples[i]);
+      path.seeks_features = path.bsdf->IsMirror();
+    }
+    path.numbers = path.request->sampler.Get4x2D(
+        kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path.depth),
+        path.request->seeds);
+  }
+}
+
+// Albedo and normal of the first surface that is no mirror, seen through those before it; until it
+// is met, of the mirrors themselves. The albedo is tinted by what they and the media between let
+// through.
+void PathWalker::StoreFeatures(const PathState& path, const V3f& albedo,
+                               PixelSample* sample) const {
+  for (int c = 0; c < 3; ++c) sample->albedo[c] = albedo[c] * Clamp01(path.throughput[c]);
+  Store(path.surface->shading_normal, sample->normal);
+}
+
+// Adds what the surface emits. Whether it scatters.
+bool PathWalker::Arrive(PathState* path, PixelSample* sample) const {
+  const Surface& surface = *path->surface;
+  const RayHit& hit = path->hit;
+  // A solid's own boundary knows best what lies behind it, whatever the path has crossed.
+  const V3f& absorption = surface.absorbs ? surface.absorption : path->medium;
+  if (MaxComponent(absorption) > 0) {
+    for (int c = 0; c < 3; ++c) path->throughput[c] *= ExpNegative(-absorption[c] * hit.t);
+  }
+  AddEmission(path);
+  path->frame.emplace(surface.shading_normal);
+  const V3f wo = path->frame->ToLocal(-path->ray.direction);
+  const bool scatters = !surface.unlit && wo.z > 1e-6f;
+  if (path->depth == 0) {
+    sample->depth = hit.t;
+    sample->material_id = surface.material + 1;
+  }
+  if (!scatters || path->depth > max_depth_) {
+    if (surface.unlit && path->seeks_features) {
+      StoreFeatures(*path, surface.bsdf.base_color, sample);
+    }
+    return false;
+  }
+  path->bsdf.emplace(surface.bsdf, wo);
+  return true;
+}
+
+void PathWalker::AddEmission(PathState* path) const {
+  const Surface& surface = *path->surface;
   if (MaxComponent(surface.emission) <= 0) return;
   const RayHit& hit = path->hit;
   float weight = 1;
@@ -93,28 +218,46 @@ void PathWalker::AddEmission(const Surface& surface, PathState* path) const {
   path->radiance += path->throughput * surface.emission * weight;
 }
 
-void PathWalker::SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-                             const SobolSampler::Points& numbers, PathState* path) const {
+// Leaves in `lit` the paths whose surfaces a light may reach.
+void PathWalker::Illuminate(Batch* batch) const {
+  batch->lit.Clear();
   if (parts_.lights.empty()) return;
-  LightSample light;
+  Batch::List facing;
+  for (int i : batch->met) {
+    if (SampleLight(&batch->paths[i])) facing.Add(i);
+  }
+  for (int i : facing) {
+    PathState& path = batch->paths[i];
+    const LightSample& light = path.light;
+    const BsdfValue value = path.bsdf->Evaluate(path.frame->ToLocal(light.wi));
+    path.direct = path.throughput * value.f_cos * light.radiance * (1 / light.pdf);
+    if (!light.punctual) {
+      path.direct *= StrategyWeight(light.pdf, value.pdf, LightStrategy::kLightsOnly);
+    }
+    if (MaxComponent(path.direct) > 0) batch->lit.Add(i);
+  }
+  for (int i : batch->lit) AimShadow(&batch->paths[i]);
+}
+
+bool PathWalker::SampleLight(PathState* path) const {
+  const Surface& surface = *path->surface;
   LightWeights weights;
-  parts_.lights.Look(surface, bsdf.transmits(), &path->view, &weights);
-  if (!parts_.lights.Sample(path->view, weights, numbers[kChoice].x, numbers[kLightPoint],
-                            &light)) {
-    return;
+  parts_.lights.Look(surface, path->bsdf->transmits(), &path->view, &weights);
+  if (!parts_.lights.Sample(path->view, weights, path->numbers[kChoice].x,
+                            path->numbers[kLightPoint], &path->light)) {
+    return false;
   }
   // Above and below are the geometric surface's; the shading frame must agree (no light leaks).
-  const float above = light.wi.dot(surface.geometric_normal);
-  const V3f wi = frame.ToLocal(light.wi);
-  if (above * wi.z <= 0) return;
-  const BsdfValue value = bsdf.Evaluate(wi);
-  V3f contribution = path->throughput * value.f_cos * light.radiance * (1 / light.pdf);
-  if (!light.punctual) {
-    contribution *= StrategyWeight(light.pdf, value.pdf, LightStrategy::kLightsOnly);
-  }
-  if (!(MaxComponent(contribution) > 0)) return;
+  const V3f& wi = path->light.wi;
+  return wi.dot(surface.geometric_normal) * wi.dot(surface.shading_normal) > 0;
+}
+
+void PathWalker::AimShadow(PathState* path) const {
+  const Surface& surface = *path->surface;
+  const LightSample& light = path->light;
+  const bool above = light.wi.dot(surface.geometric_normal) > 0;
   const V3f origin = OffsetRayOrigin(
-      surface.position, above > 0 ? surface.geometric_normal : -surface.geometric_normal,
+      surface.position, above ? surface.geometric_normal : -surface.geometric_normal,
       surface.coordinate_max);
   if (light.at_infinity) {
     path->shadow = {origin, light.wi, kInfinity};
@@ -123,22 +266,47 @@ void PathWalker::SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb
                                        std::max(surface.coordinate_max, MaxAbs(light.point)));
     path->shadow = {origin, target - origin, 1};
   }
-  path->direct = contribution;
-  path->has_shadow = true;
 }
 
-bool PathWalker::Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-                         const SobolSampler::Points& numbers, PathState* path) const {
-  BsdfSample scattered;
-  if (!bsdf.Sample(numbers[kChoice].y, numbers[kScatter], &scattered)) return false;
-  const V3f direction = Unit(frame.ToWorld(scattered.wi));
+void PathWalker::CastShadows(Batch* batch) const {
+  batch->rays += batch->lit.size();
+  for (int i : batch->lit) {
+    PathState& path = batch->paths[i];
+    path.radiance += path.direct * parts_.embree.Transmittance(path.shadow);
+  }
+}
+
+// Leaves in `walking` the paths that go on, with their next rays.
+void PathWalker::Scatter(Batch* batch) const {
+  batch->walking.Clear();
+  // The last bounce's ray only looks for light that direct lighting competes for.
+  const bool last_is_blind =
+      parts_.environment == nullptr && !parts_.lights.has_extended_lights();
+  std::array<BsdfSample, kPathsMax> scattered;
+  Batch::List scattering;
+  for (int i : batch->met) {
+    const PathState& path = batch->paths[i];
+    if (last_is_blind && path.depth == max_depth_) continue;
+    if (path.bsdf->Sample(path.numbers[kChoice].y, path.numbers[kScatter], &scattered[i])) {
+      scattering.Add(i);
+    }
+  }
+  for (int i : scattering) {
+    if (Continue(scattered[i], &batch->paths[i])) batch->walking.Add(i);
+  }
+}
+
+// Sends the path on, unless it loses Russian roulette or the direction is none of the surface's.
+bool PathWalker::Continue(const BsdfSample& scattered, PathState* path) const {
+  const Surface& surface = *path->surface;
+  const V3f direction = Unit(path->frame->ToWorld(scattered.wi));
   const float above = direction.dot(surface.geometric_normal);
   if (above * scattered.wi.z <= 0) return false;
   path->throughput *= scattered.weight;
   const float most = MaxComponent(path->throughput);
   if (!(most > 0)) return false;
   if (path->depth >= kRouletteStart && most < 1) {
-    if (numbers[kRoulette].x >= most) return false;
+    if (path->numbers[kRoulette].x >= most) return false;
     path->throughput *= 1 / most;
   }
   path->ray = {OffsetRayOrigin(surface.position,
@@ -153,113 +321,25 @@ bool PathWalker::Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& fr
   return true;
 }
 
-// Albedo and normal of the first surface that is no mirror, seen through those before it; until it
-// is met, of the mirrors themselves. The albedo is tinted by what they and the media between let
-// through.
-void PathWalker::StoreFeatures(const Surface& surface, const V3f& albedo, const PathState* path,
-                               PixelSample* sample) const {
-  if (!path->seeks_features) return;
-  for (int c = 0; c < 3; ++c) {
-    sample->albedo[c] = albedo[c] * Clamp01(path->throughput[c]);
-  }
-  Store(surface.shading_normal, sample->normal);
-}
-
-// Mirrors that show the sky: white, tinted by them; the normal stays the last mirror's.
-void PathWalker::StoreSkyFeatures(const PathState& path, PixelSample* sample) const {
-  if (!path.seeks_features || path.depth == 0) return;
-  for (int c = 0; c < 3; ++c) sample->albedo[c] = Clamp01(path.throughput[c]);
-}
-
-void PathWalker::Start(const PathRequest& request, PathState* path) const {
-  path->request = &request;
-  path->hash_key = request.sampler.HashKey();
-  const SobolSampler::Points numbers = request.sampler.Get4x2D(kPixelGroup, request.seeds);
-  const V2f in_pixel = numbers[kPixelGroup];
-  const V2f lens = parts_.camera.has_lens() ? numbers[kLensGroup] : V2f(0.5f, 0.5f);
-  const CameraRay ray = parts_.camera.At(static_cast<float>(request.x) + in_pixel.x,
-                                         static_cast<float>(request.y) + in_pixel.y, lens);
-  path->ray = {ray.origin, ray.direction, kInfinity};
-}
-
-// At the end of the path's ray: what arrives from there, and the next ray. False: the path ends.
-bool PathWalker::Shade(PathState* path, PixelSample* sample) const {
-  const RayHit& hit = path->hit;
-  const V3f wo = -path->ray.direction;
-  const Surface surface = parts_.surfaces.Read(hit, wo);
-  // A solid's own boundary knows best what lies behind it, whatever the path has crossed.
-  const V3f& absorption = surface.absorbs ? surface.absorption : path->medium;
-  if (MaxComponent(absorption) > 0) {
-    for (int c = 0; c < 3; ++c) path->throughput[c] *= ExpNegative(-absorption[c] * hit.t);
-  }
-  AddEmission(surface, path);
-  const Onb frame(surface.shading_normal);
-  const V3f local_wo = frame.ToLocal(wo);
-  const bool scatters = !surface.unlit && local_wo.z > 1e-6f;
-  if (path->depth == 0) {
-    sample->depth = hit.t;
-    sample->material_id = surface.material + 1;
-  }
-  const int max_depth = std::min(parts_.max_depth, kDepthLimit);
-  if (!scatters || path->depth > max_depth) {
-    if (surface.unlit) StoreFeatures(surface, surface.bsdf.base_color, path, sample);
-    return false;
-  }
-  const Bsdf bsdf(surface.bsdf, local_wo);
-  StoreFeatures(surface, bsdf.Albedo(), path, sample);
-  if (!bsdf.IsMirror()) path->seeks_features = false;
-  const SobolSampler::Points numbers = path->request->sampler.Get4x2D(
-      kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path->depth),
-      path->request->seeds);
-  SampleLight(surface, bsdf, frame, numbers, path);
-  // The last bounce's ray only looks for light that direct lighting competes for.
-  if (path->depth == max_depth && parts_.environment == nullptr &&
-      !parts_.lights.has_extended_lights()) {
-    return false;
-  }
-  return Scatter(surface, bsdf, frame, numbers, path);
-}
-
 void PathWalker::Trace(std::span<const PathRequest> requests, std::span<PixelSample> samples,
                        int64_t* rays) const {
   TESSERA_CHECK(requests.size() <= kPathsMax && samples.size() == requests.size());
-  const int num_paths = static_cast<int>(requests.size());
-  std::array<PathState, kPathsMax> paths;
-  std::array<int, kPathsMax> walking;
-  for (int i = 0; i < num_paths; ++i) {
-    walking[i] = i;
+  Batch batch;
+  batch.samples = samples;
+  for (int i = 0; i < static_cast<int>(requests.size()); ++i) {
     samples[i] = PixelSample{};
-    Start(requests[i], &paths[i]);
+    Start(requests[i], &batch.paths[i]);
+    batch.walking.Add(i);
   }
-  for (int num_walking = num_paths; num_walking > 0;) {
-    *rays += num_walking;
-    for (int k = 0; k < num_walking; ++k) {
-      PathState& path = paths[walking[k]];
-      path.escaped = !parts_.embree.Intersect(
-          path.ray, path.hash_key + static_cast<uint64_t>(path.depth), &path.hit);
-    }
-    int num_next = 0;
-    const int num_met = num_walking;
-    std::array<int, kPathsMax> met = walking;
-    for (int k = 0; k < num_met; ++k) {
-      const int i = met[k];
-      if (paths[i].escaped) {
-        AddEscaped(&paths[i]);
-        StoreSkyFeatures(paths[i], &samples[i]);
-      } else if (Shade(&paths[i], &samples[i])) {
-        walking[num_next++] = i;
-      }
-    }
-    for (int k = 0; k < num_met; ++k) {
-      PathState& path = paths[met[k]];
-      if (!path.has_shadow) continue;
-      path.has_shadow = false;
-      ++*rays;
-      path.radiance += path.direct * parts_.embree.Transmittance(path.shadow);
-    }
-    num_walking = num_next;
+  while (batch.walking.size() > 0) {
+    Intersect(&batch);
+    Read(&batch);
+    Illuminate(&batch);
+    Scatter(&batch);
+    CastShadows(&batch);
   }
-  for (int i = 0; i < num_paths; ++i) Store(paths[i].radiance, samples[i].radiance);
+  for (size_t i = 0; i < samples.size(); ++i) Store(batch.paths[i].radiance, samples[i].radiance);
+  *rays += batch.rays;
 }
 
 PixelSample PathWalker::Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const {

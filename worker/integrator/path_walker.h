@@ -39,7 +39,7 @@ class PathWalker {
     int max_depth;  // bounces after the camera hit
     LightStrategy strategy = LightStrategy::kBoth;
   };
-  explicit PathWalker(const Parts& parts) : parts_(parts) {}
+  explicit PathWalker(const Parts& parts);
 
   // The samples that `requests` ask for (box filter), at most kPathsMax, into `samples` in their
   // order. Paths advance together, bounce by bounce, which hides the latency of memory; company
@@ -51,20 +51,27 @@ class PathWalker {
 
  private:
   struct PathState;
+  struct Batch;
+  // The steps of a bounce, each for all paths that walk, so that their latencies overlap.
   void Start(const PathRequest& request, PathState* path) const;
-  bool Shade(PathState* path, PixelSample* sample) const;
+  void Intersect(Batch* batch) const;
+  void Read(Batch* batch) const;
+  void Illuminate(Batch* batch) const;
+  void Scatter(Batch* batch) const;
+  void CastShadows(Batch* batch) const;
+
   void AddEscaped(PathState* path) const;
-  void StoreFeatures(const Surface& surface, const V3f& albedo, const PathState* path,
-                     PixelSample* sample) const;
+  void StoreFeatures(const PathState& path, const V3f& albedo, PixelSample* sample) const;
   void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
-  void AddEmission(const Surface& surface, PathState* path) const;
-  void SampleLight(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-                   const SobolSampler::Points& numbers, PathState* path) const;
-  bool Scatter(const Surface& surface, const Bsdf& bsdf, const Onb& frame,
-               const SobolSampler::Points& numbers, PathState* path) const;
+  void AddEmission(PathState* path) const;
+  bool Arrive(PathState* path, PixelSample* sample) const;
+  bool SampleLight(PathState* path) const;
+  void AimShadow(PathState* path) const;
+  bool Continue(const BsdfSample& scattered, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;
 
   Parts parts_;
+  int max_depth_;  // the request's, limited
 };
 
 }  // namespace tessera
