@@ -28,7 +28,7 @@ float RefractingIor(float ior) { return std::max(ior, kRefractingIorMin); }
 Bsdf::Bsdf(const BsdfParameters& p, const V3f& wo)
     : wo_(wo),
       alpha_(AlphaOfRoughness(p.roughness)),
-      roughness_(p.roughness),
+      albedo_(SpecularAlbedoTable::Get().At(p.roughness)),
       lambda_o_(GgxLambda(wo, alpha_)),
       eta_(RelativeIndex(p)),
       thin_walled_(p.thin_walled),
@@ -46,8 +46,7 @@ void Bsdf::SetSpecular(const BsdfParameters& p) {
   coat_f90_ = Clamp01(50 * interface_f0) * p.specular;
   coat_f0_ = std::min(interface_f0 * MaxComponent(p.specular_color), 1.f) * p.specular;
 
-  const SpecularAlbedoTable& table = SpecularAlbedoTable::Get();
-  const SpecularAlbedo towards_wo = table.Lookup(wo_.z, roughness_);
+  const SpecularAlbedo towards_wo = albedo_.Lookup(wo_.z);
   const float multiple = towards_wo.MultipleScattering();
   for (int c = 0; c < 3; ++c) {
     const float f0 = std::min(interface_f0 * p.specular_color[c], 1.f) * p.specular;
@@ -61,7 +60,7 @@ void Bsdf::SetSpecular(const BsdfParameters& p) {
   // Kelemen & Szirmay-Kalos 2001: what the coat reflects from either side does not reach the base.
   // One channel's coat dims all, so that the base does not take the complementary colour.
   diffuse_share_ = 1 - CoatAlbedo(towards_wo);
-  const SpecularAverage average = table.Average(roughness_);
+  const SpecularAverage average = albedo_.Average();
   const float average_albedo =
       kCoatMargin * (coat_f0_ * (average.single.scale + coat_f0_ * average.multiple.scale) +
                      coat_f90_ * (average.single.bias + coat_f0_ * average.multiple.bias));
@@ -77,7 +76,7 @@ void Bsdf::SetGlass(const BsdfParameters& p, const SpecularAlbedo& towards_wo) {
     // Reflected and transmitted lobes are mirror images: masking loses the same share of both.
     glass_scale_ = 1 + towards_wo.MultipleScattering();
   } else if (p.glass_albedo != nullptr) {
-    const GlassAlbedo albedo = p.glass_albedo->Lookup(wo_.z, roughness_, p.entering);
+    const GlassAlbedo albedo = p.glass_albedo->Lookup(wo_.z, p.roughness, p.entering);
     glass_scale_ =
         CompensationOf(albedo.matched + (albedo.dielectric - albedo.matched) * glass_fresnel_);
   }
@@ -123,8 +122,7 @@ BsdfValue Bsdf::EvaluateReflection(const V3f& wi) const {
   BsdfValue value;
   if (p_diffuse_ > 0) {
     const float cosine = wi.z * kInvPiFloat;
-    const float coat =
-        coat_f90_ > 0 ? CoatAlbedo(SpecularAlbedoTable::Get().Lookup(wi.z, roughness_)) : 0.f;
+    const float coat = coat_f90_ > 0 ? CoatAlbedo(albedo_.Lookup(wi.z)) : 0.f;
     value.f_cos = diffuse_ * (diffuse_share_ * (1 - coat) * cosine);
     value.pdf = p_diffuse_ * cosine;
   }

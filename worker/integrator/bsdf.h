@@ -13,11 +13,9 @@
 #include <optional>
 
 #include "worker/integrator/material_layers.h"
+#include "worker/integrator/specular_albedo.h"
 
 namespace tessera {
-
-class GlassAlbedoTable;
-struct SpecularAlbedo;
 
 struct BsdfParameters {
   Imath::V3f base_color = Imath::V3f(1, 1, 1);
@@ -84,7 +82,7 @@ class Bsdf {
 
   Imath::V3f wo_;
   float alpha_;
-  float roughness_;
+  SpecularAlbedoTable::AtRoughness albedo_;  // of the specular lobe, at the surface's roughness
   float lambda_o_;  // Smith's Lambda of wo
   float eta_;       // index beyond the boundary over that on wo's side
   bool thin_walled_;

@@ -116,7 +116,7 @@ MaterialLayers::MaterialLayers(const LayerParameters& p, const V3f& wo, float ba
     clearcoat_alpha_ = AlphaOfRoughness(p.clearcoat_roughness);
     clearcoat_lambda_o_ = GgxLambda(clearcoat_wo_, clearcoat_alpha_);
     const SpecularAlbedo albedo =
-        SpecularAlbedoTable::Get().Lookup(clearcoat_wo_.z, p.clearcoat_roughness);
+        SpecularAlbedoTable::Get().At(p.clearcoat_roughness).Lookup(clearcoat_wo_.z);
     clearcoat_weight_ = p.clearcoat * (1 + kClearcoatF0 * albedo.MultipleScattering());
     clearcoat_albedo_ = clearcoat_weight_ * (kClearcoatF0 * albedo.scale + albedo.bias);
     below_clearcoat_ = Clamp01(1 - kLayerMargin * clearcoat_albedo_);

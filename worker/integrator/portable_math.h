@@ -8,6 +8,7 @@
 #include <bit>
 #include <cmath>
 #include <cstdint>
+#include <type_traits>
 
 namespace tessera {
 
@@ -21,6 +22,14 @@ struct SinCos {
   Real sin;
   Real cos;
 };
+
+// `x`, negated if `negative`.
+template <typename Real>
+inline Real WithSign(Real x, bool negative) {
+  using Bits = std::conditional_t<sizeof(Real) == sizeof(float), uint32_t, uint64_t>;
+  constexpr int kSignBit = 8 * sizeof(Real) - 1;
+  return std::bit_cast<Real>(std::bit_cast<Bits>(x) ^ (static_cast<Bits>(negative) << kSignBit));
+}
 
 // Sine and cosine of 2 pi turns; |turns| < 1e6. Taylor series on [-pi/4, pi/4].
 template <typename Real>
@@ -46,16 +55,10 @@ inline SinCos<Real> SinCosTurns(Real turns) {
     s = x * (1 + s_sum);
     c = 1 + c_sum;
   }
-  switch (quadrant & 3) {
-    case 0:
-      return {s, c};
-    case 1:
-      return {c, -s};
-    case 2:
-      return {-s, -c};
-    default:
-      return {-c, s};
-  }
+  // Each quadrant exchanges the two or turns signs: without branches, as it cannot be foreseen.
+  const bool exchange = (quadrant & 1) != 0;
+  return {WithSign<Real>(exchange ? c : s, (quadrant & 2) != 0),
+          WithSign<Real>(exchange ? s : c, ((quadrant + 1) & 2) != 0)};
 }
 
 // Angle of (x, y) in [-pi, pi]; 0 for (0, 0).

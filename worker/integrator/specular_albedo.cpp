@@ -15,11 +15,6 @@ using Imath::V3f;
 // 0.15 % of the truth (glass seen from inside, near its critical angle: 0.5 %).
 constexpr uint32_t kPoints = 1024;
 
-// What of the compensation is left out so that the tables' errors do not add energy: a share of it,
-// for their spacing, and a constant, for the noise of their points.
-constexpr float kCompensationMargin = 0.004f;
-constexpr float kCompensationNoise = 7e-4f;
-
 // Masking of the incident direction, given that the outgoing one is visible: G2 / G1.
 float Shadowing(const V3f& wi, float lambda_o, float alpha) {
   return (1 + lambda_o) / (1 + lambda_o + GgxLambda(wi, alpha));
@@ -85,22 +80,6 @@ float AlphaOfRow(int index, int rows) {
   return AlphaOfRoughness(static_cast<float>(index) / static_cast<float>(rows - 1));
 }
 
-SpecularAlbedo Lerp(const SpecularAlbedo& a, const SpecularAlbedo& b, float t) {
-  return {a.scale + (b.scale - a.scale) * t, a.bias + (b.bias - a.bias) * t};
-}
-
-GlassAlbedo Lerp(const GlassAlbedo& a, const GlassAlbedo& b, float t) {
-  return {a.dielectric + (b.dielectric - a.dielectric) * t,
-          a.matched + (b.matched - a.matched) * t};
-}
-
-template <typename Cells>
-auto LookupInRow(const Cells& cells, float x) {
-  const float position = x * static_cast<float>(cells.size() - 1);
-  const size_t m = std::min(static_cast<size_t>(position), cells.size() - 2);
-  return Lerp(cells[m], cells[m + 1], position - static_cast<float>(m));
-}
-
 // The lower of the two rows around `roughness`, and the weight of the upper one.
 struct RowPosition {
   int row;
@@ -113,18 +92,6 @@ RowPosition RowOf(float roughness, int rows) {
 }
 
 }  // namespace
-
-float AlbedoNode(float mu, float alpha) {
-  const float a = 2 * alpha, cosine = Clamp01(mu);
-  return 0.5f * (std::sqrt(cosine) + std::sqrt(cosine * (1 + a) / (cosine + a)));
-}
-
-float CompensationOf(float albedo) {
-  const float missing = 1 / std::max(albedo, 1e-3f) - 1;
-  return 1 + std::max(0.f, missing * (1 - kCompensationMargin) - kCompensationNoise);
-}
-
-float SpecularAlbedo::MultipleScattering() const { return CompensationOf(scale + bias) - 1; }
 
 const SpecularAlbedoTable& SpecularAlbedoTable::Get() {
   static const SpecularAlbedoTable* const table = new SpecularAlbedoTable();
@@ -158,19 +125,14 @@ SpecularAlbedoTable::Row SpecularAlbedoTable::MakeRow(int index) {
   return row;
 }
 
-SpecularAlbedo SpecularAlbedoTable::Lookup(float mu, float roughness) const {
+SpecularAlbedoTable::AtRoughness SpecularAlbedoTable::At(float roughness) const {
   const RowPosition at = RowOf(roughness, kRows);
-  const float x = AlbedoNode(mu, AlphaOfRoughness(roughness));
-  return Lerp(LookupInRow(rows_.At(at.row, MakeRow).cells, x),
-              LookupInRow(rows_.At(at.row + 1, MakeRow).cells, x), at.upper);
-}
-
-SpecularAverage SpecularAlbedoTable::Average(float roughness) const {
-  const RowPosition at = RowOf(roughness, kRows);
-  const SpecularAverage& lower = rows_.At(at.row, MakeRow).average;
-  const SpecularAverage& upper = rows_.At(at.row + 1, MakeRow).average;
-  return {Lerp(lower.single, upper.single, at.upper),
-          Lerp(lower.multiple, upper.multiple, at.upper)};
+  AtRoughness result;
+  result.lower_ = &rows_.At(at.row, MakeRow);
+  result.upper_ = &rows_.At(at.row + 1, MakeRow);
+  result.weight_ = at.upper;
+  result.alpha_ = AlphaOfRoughness(roughness);
+  return result;
 }
 
 GlassAlbedoTable::Row GlassAlbedoTable::MakeRow(int index, float eta) {

@@ -5,24 +5,51 @@
 // (Turquin 2019, "Practical Multiple Scattering Compensation for Microfacet Models").
 #pragma once
 
+#include <algorithm>
 #include <array>
+#include <cmath>
 
 #include "worker/integrator/lazy_rows.h"
+#include "worker/integrator/portable_math.h"
 
 namespace tessera {
 
 // Where both tables have their nodes along mu, in [0, 1]: half of them by sqrt(mu), for Fresnel's
 // rise, half by sqrt(mu (1 + a) / (mu + a)), a = 2 alpha, as masking sets in where mu is near
 // alpha.
-float AlbedoNode(float mu, float alpha);
+inline float AlbedoNode(float mu, float alpha) {
+  const float a = 2 * alpha, cosine = Clamp01(mu);
+  return 0.5f * (std::sqrt(cosine) + std::sqrt(cosine * (1 + a) / (cosine + a)));
+}
+
+// 1 / albedo, rather a little less: a lobe that is scaled by it conserves energy and does not gain.
+inline float CompensationOf(float albedo) {
+  // What is left out so that the tables' errors do not add energy: a share of the compensation, for
+  // their spacing, and a constant, for the noise of their points.
+  constexpr float kMarginShare = 0.004f, kMarginNoise = 7e-4f;
+  const float missing = 1 / std::max(albedo, 1e-3f) - 1;
+  return 1 + std::max(0.f, missing * (1 - kMarginShare) - kMarginNoise);
+}
 
 struct SpecularAlbedo {
   float scale = 0;  // of F0
   float bias = 0;   // of F90
 
   // What lossless multiple scattering adds to each unit that leaves the surface at once.
-  float MultipleScattering() const;
+  float MultipleScattering() const { return CompensationOf(scale + bias) - 1; }
 };
+
+inline SpecularAlbedo Lerp(const SpecularAlbedo& a, const SpecularAlbedo& b, float t) {
+  return {a.scale + (b.scale - a.scale) * t, a.bias + (b.bias - a.bias) * t};
+}
+
+// Linear in x in [0, 1], over the nodes of `cells`.
+template <typename Cells>
+auto LookupInRow(const Cells& cells, float x) {
+  const float position = x * static_cast<float>(static_cast<int>(cells.size()) - 1);
+  const int m = std::min(static_cast<int>(position), static_cast<int>(cells.size()) - 2);
+  return Lerp(cells[m], cells[m + 1], position - static_cast<float>(m));
+}
 
 // Cosine-weighted averages over all directions: 2 * integral of x(mu) mu dmu.
 struct SpecularAverage {
@@ -31,21 +58,40 @@ struct SpecularAverage {
 };
 
 class SpecularAlbedoTable {
- public:
-  // One a process.
-  static const SpecularAlbedoTable& Get();
-
-  // mu = cosine to the normal, roughness perceptual; both in [0, 1]. Bilinear.
-  // Threads: any number at once, here and below.
-  SpecularAlbedo Lookup(float mu, float roughness) const;
-  SpecularAverage Average(float roughness) const;
-
- private:
   static constexpr int kRows = 32, kColumns = 48;
   struct Row {
     std::array<SpecularAlbedo, kColumns> cells;  // by AlbedoNode
     SpecularAverage average;
   };
+
+ public:
+  // One a process.
+  static const SpecularAlbedoTable& Get();
+
+  // The table at one roughness. Borrows from the table.
+  class AtRoughness {
+   public:
+    // mu = cosine to the normal, [0, 1]. Linear.
+    SpecularAlbedo Lookup(float mu) const {
+      const float x = AlbedoNode(mu, alpha_);
+      return Lerp(LookupInRow(lower_->cells, x), LookupInRow(upper_->cells, x), weight_);
+    }
+    SpecularAverage Average() const {
+      return {Lerp(lower_->average.single, upper_->average.single, weight_),
+              Lerp(lower_->average.multiple, upper_->average.multiple, weight_)};
+    }
+
+   private:
+    friend class SpecularAlbedoTable;
+    const Row* lower_;
+    const Row* upper_;
+    float weight_;  // of the upper row
+    float alpha_;
+  };
+  // Perceptual roughness, [0, 1]. Threads: any number at once, here and below.
+  AtRoughness At(float roughness) const;
+
+ private:
   SpecularAlbedoTable() = default;
   static Row MakeRow(int index);
 
@@ -58,6 +104,11 @@ struct GlassAlbedo {
   float dielectric = 1;  // with the boundary's Fresnel reflectance
   float matched = 1;     // without it: reflects nothing but under total reflection
 };
+
+inline GlassAlbedo Lerp(const GlassAlbedo& a, const GlassAlbedo& b, float t) {
+  return {a.dielectric + (b.dielectric - a.dielectric) * t,
+          a.matched + (b.matched - a.matched) * t};
+}
 
 class GlassAlbedoTable {
  public:
@@ -75,8 +126,5 @@ class GlassAlbedoTable {
   float ior_;
   LazyRows<Row, kRows> entering_, leaving_;
 };
-
-// 1 / albedo, rather a little less: a lobe that is scaled by it conserves energy and does not gain.
-float CompensationOf(float albedo);
 
 }  // namespace tessera

@@ -243,7 +243,7 @@ TEST(BsdfTest, SampleAgreesWithEvaluate) {
 
 // Scale that multiple scattering gives the white metal lobe, and thin-walled glass.
 float ReflectionScale(float roughness, float cosine) {
-  return 1 + SpecularAlbedoTable::Get().Lookup(cosine, roughness).MultipleScattering();
+  return 1 + SpecularAlbedoTable::Get().At(roughness).Lookup(cosine).MultipleScattering();
 }
 
 TEST(BsdfTest, DiffuseBaseIsReciprocal) {

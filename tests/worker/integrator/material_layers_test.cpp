@@ -137,7 +137,7 @@ TEST(MaterialLayersTest, ClearcoatOverLambertHasItsModelsAlbedo) {
         BsdfParameters p = Lambert(0.4f);
         p.layers.clearcoat = weight;
         p.layers.clearcoat_roughness = roughness;
-        const SpecularAlbedo a = SpecularAlbedoTable::Get().Lookup(cosine, roughness);
+        const SpecularAlbedo a = SpecularAlbedoTable::Get().At(roughness).Lookup(cosine);
         const double coat =
             weight * (0.04 * a.scale + a.bias) * (1 + 0.04 * a.MultipleScattering());
         const double expected = coat + (1 - coat) * 0.4;

@@ -49,7 +49,7 @@ TEST(SpecularAlbedoTest, AgreesWithIntegrationOverNormals) {
   const SpecularAlbedoTable& table = SpecularAlbedoTable::Get();
   for (float roughness : {0.15f, 0.43f, 0.8f, 1.f}) {
     for (float mu : {0.05f, 0.33f, 0.77f, 1.f}) {
-      const SpecularAlbedo a = table.Lookup(mu, roughness);
+      const SpecularAlbedo a = table.At(roughness).Lookup(mu);
       const double truth = MirrorAlbedo(mu, roughness);
       EXPECT_NEAR((a.scale + a.bias) / truth, 1, 2.5e-3) << roughness << " " << mu;
       EXPECT_GE(a.bias, 0);
@@ -63,11 +63,11 @@ TEST(SpecularAlbedoTest, AverageIsTheMeanOfTheLookups) {
     double single = 0, multiple = 0;
     constexpr int kSteps = 1000;
     for (int i = 0; i < kSteps; ++i) {
-      const SpecularAlbedo a = table.Lookup(std::sqrt((i + 0.5f) / kSteps), roughness);
+      const SpecularAlbedo a = table.At(roughness).Lookup(std::sqrt((i + 0.5f) / kSteps));
       single += (a.scale + a.bias) / kSteps;
       multiple += (a.scale + a.bias) * a.MultipleScattering() / kSteps;
     }
-    const SpecularAverage average = table.Average(roughness);
+    const SpecularAverage average = table.At(roughness).Average();
     EXPECT_NEAR(average.single.scale + average.single.bias, single, 1e-3);
     EXPECT_NEAR(average.multiple.scale + average.multiple.bias, multiple, 1e-3);
     EXPECT_NEAR(single + multiple, 1, 4e-3);
@@ -77,7 +77,7 @@ TEST(SpecularAlbedoTest, AverageIsTheMeanOfTheLookups) {
 TEST(SpecularAlbedoTest, SmoothSurfacesLoseNothing) {
   const GlassAlbedoTable glass(1.5f);
   for (float mu : {0.01f, 0.4f, 1.f}) {
-    const SpecularAlbedo a = SpecularAlbedoTable::Get().Lookup(mu, 0);
+    const SpecularAlbedo a = SpecularAlbedoTable::Get().At(0).Lookup(mu);
     EXPECT_NEAR(a.scale + a.bias, 1, 1e-3);
     EXPECT_NEAR(glass.Lookup(mu, 0, true).dielectric, 1, 1e-3);
     EXPECT_NEAR(glass.Lookup(mu, 0, false).dielectric, 1, 1e-3);
