@@ -21,6 +21,10 @@ constexpr uint64_t kPilotSeed = 0x70696c6f74ull;
 // Points that a region is learnt from, at most: a region is split while it has more.
 constexpr size_t kRegionPoints = 16;
 constexpr int kAxes = 6;
+// Of a point, of each group of lights but the environment.
+constexpr uint32_t kLightSamples = 4;
+// However little of a group the pilot saw, it is chosen with this probability.
+constexpr double kShareMin = 0.1;
 // Of a normal's variance against the positions': normals matter where walls are thin.
 constexpr double kNormalScale = 0.1 * 3;
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
@@ -44,7 +48,7 @@ std::unique_ptr<LightGuide> LightGuide::Learn(const Parts& parts) {
   guide->nodes_.emplace_back();
   guide->Split(0, &points, 0, points.size());
   for (const auto& [begin, end] : guide->region_points_) {
-    guide->regions_.push_back(guide->LearnRegion(parts, &points[begin], end - begin));
+    guide->regions_.push_back(LearnRegion(parts, std::span(points).subspan(begin, end - begin)));
   }
   guide->region_points_ = {};
   return guide;
@@ -119,32 +123,87 @@ void LightGuide::Split(uint32_t node, std::vector<Point>* points, size_t begin, 
   Split(child + 1, points, at, end);
 }
 
-LightGuide::Region LightGuide::LearnRegion(const Parts& parts, const Point* points,
-                                           size_t count) const {
-  Region region;
-  region.open = true;
+LightGuide::Region LightGuide::LearnRegion(const Parts& parts, std::span<const Point> points) {
   // Of a leaf that could not be split there may be many points.
-  const size_t step = (count + kRegionPoints - 1) / kRegionPoints;
+  points = points.first(std::min(points.size(), kRegionPoints));
+  Region region;
+  region.sky.fill(255);
+  std::array<double, kNumLightGroups> weights = {};
+  if (parts.lights.has_group(kEnvironmentGroup)) {
+    LearnSky(parts, points, &region);
+    for (const Point& p : points) {
+      SkyView view;
+      SkyWeights scratch;
+      parts.environment->Look(p.normal, false, region.open ? nullptr : &region.sky, &view,
+                              &scratch);
+      weights[kEnvironmentGroup] += view.total / static_cast<double>(points.size());
+    }
+  }
+  for (LightGroup group : {kSunGroup, kLocalGroup}) {
+    if (parts.lights.has_group(group)) weights[group] = Irradiance(parts, group, points);
+  }
+  // No group is ruled out by what few points saw.
+  double total = 0;
+  for (double w : weights) total += w;
+  for (int g = 0; g < kNumLightGroups; ++g) {
+    if (parts.lights.has_group(static_cast<LightGroup>(g))) {
+      weights[g] = std::max(weights[g], total > 0 ? 1e-9 * total : 1);
+    }
+  }
+  region.shares = SharesOf(weights, kShareMin);
+  return region;
+}
+
+void LightGuide::LearnSky(const Parts& parts, std::span<const Point> points, Region* region) {
   for (int cell = 0; cell < kSkyCells; ++cell) {
     float seen = 0;
     int rays = 0;
-    for (size_t i = 0; i < count; i += step) {
+    for (size_t i = 0; i < points.size(); ++i) {
       const Point& p = points[i];
       const SobolSampler sampler(kPilotSeed, 1, cell, 2 * static_cast<int64_t>(i));
-      const DirectionSample d = parts.environment.SampleCell(cell, sampler.Get2D(0));
+      const DirectionSample d = parts.environment->SampleCell(cell, sampler.Get2D(0));
       if (!(d.pdf > 0) || d.direction.dot(p.normal) <= 0) continue;
       ++rays;
       seen += parts.embree.Transmittance({p.position, d.direction, kInfinity});
     }
+    if (rays == 0) continue;
     // Half a ray's doubt.
-    const float share = rays > 0 ? (seen + 0.5f) / (static_cast<float>(rays) + 1) : 1.f;
-    if (seen < static_cast<float>(rays)) region.open = false;
-    region.sky[cell] = static_cast<uint8_t>(255 * share);
+    const float share = (seen + 0.5f) / (static_cast<float>(rays) + 1);
+    if (seen < static_cast<float>(rays)) region->open = false;
+    region->sky[cell] = static_cast<uint8_t>(255 * share);
   }
-  return region;
 }
 
-const SkyVisibility* LightGuide::Sky(const V3f& position, const V3f& normal) const {
+// W/m^2 of luminance, shadows included, averaged over the points.
+double LightGuide::Irradiance(const Parts& parts, LightGroup group, std::span<const Point> points) {
+  double sum = 0;
+  for (size_t i = 0; i < points.size(); ++i) {
+    const Point& p = points[i];
+    LightView view;
+    view.receiver = {p.position, p.normal, false};
+    for (uint32_t k = 0; k < kLightSamples; ++k) {
+      const SobolSampler sampler(kPilotSeed, 2, group, 2 * static_cast<int64_t>(i));
+      LightSample light;
+      if (!parts.lights.SampleGroup(group, view, {}, sampler.Get2D(2 * k).x,
+                                    sampler.Get2D(2 * k + 1), &light)) {
+        continue;
+      }
+      const float cosine = light.wi.dot(p.normal);
+      if (cosine <= 0) continue;
+      Ray shadow = {p.position, light.wi, kInfinity};
+      if (!light.at_infinity) {
+        const float coordinate_max = std::max(MaxAbs(p.position), MaxAbs(light.point));
+        const V3f target = OffsetRayOrigin(light.point, light.point_normal, coordinate_max);
+        shadow = {p.position, target - p.position, 1};
+      }
+      sum += double{Luminance(light.radiance) * cosine} / light.pdf *
+             parts.embree.Transmittance(shadow);
+    }
+  }
+  return sum / (kLightSamples * static_cast<double>(points.size()));
+}
+
+const LightGuide::Region* LightGuide::At(const V3f& position, const V3f& normal) const {
   if (regions_.empty()) return nullptr;
   const float coordinates[kAxes] = {position.x, position.y, position.z,
                                     normal.x,   normal.y,   normal.z};
@@ -152,8 +211,7 @@ const SkyVisibility* LightGuide::Sky(const V3f& position, const V3f& normal) con
   while (node->axis >= 0) {
     node = &nodes_[node->child + (coordinates[node->axis] < node->split ? 0 : 1)];
   }
-  const Region& region = regions_[node->child];
-  return region.open ? nullptr : &region.sky;
+  return &regions_[node->child];
 }
 
 int64_t LightGuide::memory_bytes() const {

@@ -1,5 +1,6 @@
 // What a deterministic pilot learnt, while the scene is loaded, of the light that arrives where
-// paths go: by regions of positions and normals, the share of each cell of the sky that is seen.
+// paths go: by regions of positions and normals, the share of each cell of the sky that is seen,
+// and how often to choose between environment, suns and local lights.
 // It steers sampling only: any guide gives the same mean. In the spirit of Mueller et al. 2017,
 // "Practical Path Guiding", with visibility instead of radiance and a pilot instead of training.
 #pragma once
@@ -8,11 +9,14 @@
 
 #include <cstdint>
 #include <memory>
+#include <span>
+#include <utility>
 #include <vector>
 
 #include "worker/integrator/camera_rays.h"
 #include "worker/integrator/embree_scene.h"
 #include "worker/integrator/environment_sampler.h"
+#include "worker/integrator/light_sampler.h"
 #include "worker/integrator/surface_reader.h"
 
 namespace tessera {
@@ -22,7 +26,8 @@ class LightGuide {
   struct Parts {
     const SurfaceReader& surfaces;
     const EmbreeScene& embree;
-    const EnvironmentSampler& environment;
+    const LightSampler& lights;
+    const EnvironmentSampler* environment;  // null without one
     const CameraRays& camera;
     int width, height;  // of the frame, pixels
   };
@@ -30,9 +35,14 @@ class LightGuide {
   // function of the parts (C2).
   static std::unique_ptr<LightGuide> Learn(const Parts& parts);
 
-  // What of the sky is seen about a point whose geometric normal (unit, on the receiver's side) is
-  // `normal`; null where all of it is.
-  const SkyVisibility* Sky(const V3f& position, const V3f& normal) const;
+  struct Region {
+    SkyVisibility sky;
+    bool open = true;  // all of the sky is seen
+    LightShares shares;
+  };
+  // What holds about a point whose geometric normal (unit, on the receiver's side) is `normal`;
+  // null if the pilot met nothing.
+  const Region* At(const V3f& position, const V3f& normal) const;
 
   int64_t memory_bytes() const;
   // For tests: regions that were learnt.
@@ -42,7 +52,8 @@ class LightGuide {
 
  private:
   struct Point {
-    V3f position, normal;
+    V3f position;  // off the surface, as rays' origins are
+    V3f normal;    // geometric, unit, on the side of the pilot's path
     float Coordinate(int axis) const { return axis < 3 ? position[axis] : normal[axis - 3]; }
   };
   // Of a k-d tree over positions (axes 0-2) and normals (3-5).
@@ -51,14 +62,11 @@ class LightGuide {
     int32_t axis;    // -1: a leaf
     uint32_t child;  // the first of two; of a leaf: its region
   };
-  struct Region {
-    SkyVisibility sky;
-    bool open;  // all is seen
-  };
-
   static std::vector<Point> TracePaths(const Parts& parts);
   void Split(uint32_t node, std::vector<Point>* points, size_t begin, size_t end);
-  Region LearnRegion(const Parts& parts, const Point* points, size_t count) const;
+  static Region LearnRegion(const Parts& parts, std::span<const Point> points);
+  static void LearnSky(const Parts& parts, std::span<const Point> points, Region* region);
+  static double Irradiance(const Parts& parts, LightGroup group, std::span<const Point> points);
 
   float position_scale_ = 0;  // 1/m^2: over the variance of all positions
   std::vector<Node> nodes_;

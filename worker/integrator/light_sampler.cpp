@@ -5,30 +5,18 @@
 #include <cmath>
 
 #include "worker/integrator/cumulative_distribution.h"
+#include "worker/integrator/light_guide.h"
 #include "worker/integrator/portable_math.h"
 
 namespace tessera {
 namespace {
 
-// Lights whose powers cannot be compared well, because the environment's and the sun's estimates
-// know nothing of walls, share the choice with at least this probability each.
-constexpr double kGroupShareMin = 0.25;
-// Of the guide to the lights' running sums: 4 KB.
-constexpr int kGuides = 1024;
-enum Group { kEnvironmentGroup, kDirectionalGroup, kLocalGroup, kNumGroups };
+// Without a guide the groups' powers cannot be compared well, because the environment's and the
+// suns' know nothing of walls: each group keeps at least this probability.
+constexpr double kUnguidedShareMin = 0.25;
 
-double PunctualPower(const PunctualLight& light, float scene_radius) {
-  const double intensity = Luminance(light.intensity);
-  switch (light.type) {
-    case LightType::kPoint:
-      return 4 * kPiDouble * intensity;
-    case LightType::kSpot:
-      return 2 * kPiDouble * intensity * (1 - light.outer_cone_cos);
-    case LightType::kDirectional:
-      break;
-  }
-  return kPiDouble * scene_radius * scene_radius * intensity;
-}
+// Of a single-sided triangle's back, against its front, in the choice of a light.
+constexpr float kBackShare = 0.1f;
 
 // KHR_lights_punctual's cone: smooth between the outer and the inner angle.
 float SpotFalloff(const PunctualLight& light, float cosine) {
@@ -36,7 +24,37 @@ float SpotFalloff(const PunctualLight& light, float cosine) {
   return Sqr(Clamp01((cosine - light.outer_cone_cos) * scale));
 }
 
+LightBounds PunctualBounds(const PunctualLight& light) {
+  LightBounds bounds;
+  bounds.low = bounds.high = light.position;
+  bounds.intensity = Luminance(light.intensity);
+  if (light.type == LightType::kSpot) {
+    bounds.axis = light.direction;
+    bounds.cos_spread = 1;
+    bounds.cos_emission = light.outer_cone_cos;
+  }
+  return bounds;
+}
+
 }  // namespace
+
+LightShares SharesOf(const std::array<double, kNumLightGroups>& weights, double least) {
+  constexpr double kFinite = 1e300;
+  double total = 0;
+  int groups = 0;
+  for (double w : weights) {
+    total += std::min(w, kFinite);
+    groups += w > 0;
+  }
+  LightShares shares = {};
+  for (int g = 0; g < kNumLightGroups; ++g) {
+    if (weights[g] > 0) {
+      const double share = std::min(weights[g], kFinite) / total;
+      shares[g] = static_cast<float>(least + (1 - least * groups) * share);
+    }
+  }
+  return shares;
+}
 
 LightSampler::LightSampler(const Scene& scene, const SurfaceReader& surfaces,
                            const EnvironmentSampler* environment, float scene_radius)
@@ -44,69 +62,88 @@ LightSampler::LightSampler(const Scene& scene, const SurfaceReader& surfaces,
       surfaces_(surfaces),
       environment_(environment),
       first_triangle_(surfaces.num_instances(), -1) {
-  const std::vector<Candidate> candidates = CollectCandidates(scene, scene_radius);
-  std::array<double, kNumGroups> group_power = {};
-  double total = 0;
-  for (const Candidate& c : candidates) {
-    group_power[c.group] += c.power;
-    total += c.power;
+  const double disc = kPiDouble * scene_radius * scene_radius;
+  std::array<double, kNumLightGroups> powers = {};
+  if (environment_ != nullptr && environment_->emits()) {
+    powers[kEnvironmentGroup] = disc * environment_->irradiance();
+    extended_ = true;
   }
-  if (!(total > 0)) return;
-  std::array<double, kNumGroups> share = {};
-  for (int g = 0; g < kNumGroups; ++g) {
-    if (group_power[g] > 0) share[g] = std::max(group_power[g] / total, kGroupShareMin);
-  }
-  std::vector<double> weights;
-  for (const Candidate& c : candidates) {
-    if (c.entry.kind == Kind::kTriangle && c.entry.triangle == 0) {
-      first_triangle_[c.entry.index] = static_cast<int64_t>(entries_.size());
-    }
-    extended_ |= c.entry.kind != Kind::kPunctual;
-    entries_.push_back(c.entry);
-    weights.push_back(c.power > 0 ? share[c.group] * c.power / group_power[c.group] : 0);
-  }
-  running_sums_ = RunningSums(weights);
-  AppendGuide(running_sums_, kGuides, &guide_);
+  CollectSuns();
+  for (uint32_t sun : suns_) powers[kSunGroup] += disc * Luminance(scene_.lights[sun].intensity);
+  powers[kLocalGroup] = CollectLocalLights();
+  static_shares_ = SharesOf(powers, kUnguidedShareMin);
+}
+
+int LightSampler::num_groups() const {
+  int groups = 0;
+  for (float share : static_shares_) groups += share > 0;
+  return groups;
 }
 
 int64_t LightSampler::memory_bytes() const {
-  return static_cast<int64_t>(
-      sizeof(Entry) * entries_.size() + sizeof(float) * running_sums_.size() +
-      sizeof(uint32_t) * guide_.size() + sizeof(int64_t) * first_triangle_.size());
+  return static_cast<int64_t>(sizeof(LocalLight) * local_lights_.size() +
+                              sizeof(int64_t) * first_triangle_.size()) +
+         local_bvh_.memory_bytes();
 }
 
-std::vector<LightSampler::Candidate> LightSampler::CollectCandidates(const Scene& scene,
-                                                                     float scene_radius) const {
-  std::vector<Candidate> candidates;
-  if (environment_ != nullptr && environment_->emits()) {
-    const double disc = kPiDouble * scene_radius * scene_radius;
-    candidates.push_back(
-        {{Kind::kEnvironment, 0, 0}, disc * environment_->irradiance(), kEnvironmentGroup});
+void LightSampler::CollectSuns() {
+  std::vector<double> weights;
+  for (uint32_t i = 0; i < scene_.lights.size(); ++i) {
+    const PunctualLight& light = scene_.lights[i];
+    if (light.type != LightType::kDirectional || !(Luminance(light.intensity) > 0)) continue;
+    suns_.push_back(i);
+    weights.push_back(Luminance(light.intensity));
   }
-  for (uint32_t i = 0; i < scene.lights.size(); ++i) {
-    const PunctualLight& light = scene.lights[i];
-    candidates.push_back({{Kind::kPunctual, i, 0},
-                          PunctualPower(light, scene_radius),
-                          light.type == LightType::kDirectional ? kDirectionalGroup : kLocalGroup});
+  sun_sums_ = RunningSums(weights);
+}
+
+double LightSampler::CollectLocalLights() {
+  std::vector<LightBounds> bounds;
+  double power = 0;
+  const auto add = [&](const LocalLight& light, const LightBounds& b, double solid_angle) {
+    local_lights_.push_back(light);
+    bounds.push_back(b);
+    power += b.intensity * solid_angle;
+  };
+  for (uint32_t i = 0; i < scene_.lights.size(); ++i) {
+    const PunctualLight& light = scene_.lights[i];
+    if (light.type == LightType::kDirectional) continue;
+    const double cone = light.type == LightType::kSpot ? 1 - light.outer_cone_cos : 2;
+    add({LocalLight::kPunctual, i}, PunctualBounds(light), 2 * kPiDouble * cone);
   }
   for (uint32_t i = 0; i < surfaces_.num_instances(); ++i) {
     const Mesh& mesh = *surfaces_.geometry(i).mesh;
     if (!surfaces_.Emits(mesh)) continue;
-    const float peak = Luminance(scene.materials[mesh.material].emission);
+    extended_ = true;
+    first_triangle_[i] = static_cast<int64_t>(local_lights_.size());
+    const float peak = Luminance(scene_.materials[mesh.material].emission);
     for (uint32_t t = 0; t < mesh.triangles.size(); ++t) {
-      candidates.push_back({{Kind::kTriangle, i, t}, TrianglePower(i, t, peak), kLocalGroup});
+      add({i, t}, TriangleBounds(i, t, peak), 2 * kPiDouble);
     }
   }
-  return candidates;
+  local_bvh_ = LightBvh(bounds);
+  return power;
 }
 
-double LightSampler::TrianglePower(uint32_t instance, uint32_t triangle, float peak) const {
+LightBounds LightSampler::TriangleBounds(uint32_t instance, uint32_t triangle, float peak) const {
   const WorldTriangle t = surfaces_.TriangleOf(instance, triangle);
   const V3f normal = (t.b - t.a).cross(t.c - t.a);
-  const double area = 0.5 * std::sqrt(normal.dot(normal));
+  const float area2 = std::sqrt(normal.dot(normal));
+  LightBounds bounds;
+  if (!(area2 > 0)) return bounds;
+  for (int c = 0; c < 3; ++c) {
+    bounds.low[c] = std::min({t.a[c], t.b[c], t.c[c]});
+    bounds.high[c] = std::max({t.a[c], t.b[c], t.c[c]});
+  }
+  bounds.axis = normal * (1 / area2);
+  bounds.cos_spread = 1;
+  bounds.cos_emission = 0;
+  // Both sides emit; but of a closed shape the insides cannot be seen.
+  bounds.back_share =
+      scene_.materials[surfaces_.geometry(instance).mesh->material].double_sided ? 1 : kBackShare;
   // Mean emission over a lattice of 10 points; never quite zero, as a texture may be bright
   // between.
-  double sum = 0;
+  float sum = 0;
   constexpr int kSteps = 4;
   for (int i = 0; i < kSteps; ++i) {
     for (int j = 0; i + j < kSteps; ++j) {
@@ -114,43 +151,63 @@ double LightSampler::TrianglePower(uint32_t instance, uint32_t triangle, float p
       sum += Luminance(surfaces_.Emission(instance, triangle, u, v));
     }
   }
-  return 2 * kPiDouble * area * (sum / (kSteps * (kSteps + 1) / 2) + 0.01 * peak);
+  const float mean = sum / (kSteps * (kSteps + 1) / 2);
+  bounds.intensity = 0.5f * area2 * (mean + 0.01f * peak);
+  return bounds;
 }
 
-void LightSampler::Look(const Surface& receiver, bool transmits, LightView* view,
+void LightSampler::Look(const Surface& surface, bool transmits, LightView* view,
                         LightWeights* weights) const {
-  view->position = receiver.position;
-  if (entries_.empty() || entries_[0].kind != Kind::kEnvironment) return;
-  const SkyVisibility* visibility = nullptr;
-  if (guide_of_sky_ != nullptr) {
-    visibility = guide_of_sky_->Sky(receiver.position, receiver.geometric_normal);
-  }
-  environment_->Look(receiver.shading_normal, transmits, visibility, &view->sky, weights);
+  view->receiver = {surface.position, surface.shading_normal, transmits};
+  const LightGuide::Region* region =
+      guide_ != nullptr ? guide_->At(surface.position, surface.geometric_normal) : nullptr;
+  view->shares = region != nullptr ? region->shares : static_shares_;
+  if (!has_group(kEnvironmentGroup)) return;
+  const SkyVisibility* visibility = region != nullptr && !region->open ? &region->sky : nullptr;
+  environment_->Look(surface.shading_normal, transmits, visibility, &view->sky, weights);
 }
 
 bool LightSampler::Sample(const LightView& view, const LightWeights& weights, float u_choice,
                           const V2f& u, LightSample* sample) const {
-  const int chosen = SampleGuided(running_sums_, guide_, &u_choice);
-  const Entry& entry = entries_[chosen];
-  const float probability = ChoiceProbability(chosen);
+  int group = 0;
+  for (; group + 1 < kNumLightGroups; ++group) {
+    if (u_choice < view.shares[group]) break;
+    u_choice -= view.shares[group];
+  }
+  const float share = view.shares[group];
+  if (!(share > 0)) return false;
+  u_choice = std::min(u_choice / share, 0x1.fffffep-1f);
+  if (!SampleGroup(static_cast<LightGroup>(group), view, weights, u_choice, u, sample)) {
+    return false;
+  }
+  sample->pdf *= share;
+  return sample->pdf > 0;
+}
+
+bool LightSampler::SampleGroup(LightGroup group, const LightView& view, const LightWeights& weights,
+                               float u_choice, const V2f& u, LightSample* sample) const {
+  if (group == kEnvironmentGroup) {
+    const DirectionSample d = environment_->Sample(view.sky, weights, u);
+    sample->wi = d.direction;
+    sample->radiance = d.radiance;
+    sample->pdf = d.pdf;
+    sample->punctual = false;
+    sample->at_infinity = true;
+    return d.pdf > 0;
+  }
+  float probability = 0;
   bool lit = false;
-  switch (entry.kind) {
-    case Kind::kEnvironment: {
-      const DirectionSample d = environment_->Sample(view.sky, weights, u);
-      sample->wi = d.direction;
-      sample->radiance = d.radiance;
-      sample->pdf = d.pdf;
-      sample->punctual = false;
-      sample->at_infinity = true;
-      lit = d.pdf > 0;
-      break;
-    }
-    case Kind::kPunctual:
-      lit = SamplePunctual(scene_.lights[entry.index], view.position, sample);
-      break;
-    case Kind::kTriangle:
-      lit = SampleTriangle(entry, view.position, u, sample);
-      break;
+  if (group == kSunGroup) {
+    const int sun = SampleRunningSums(sun_sums_, &u_choice);
+    probability = sun_sums_[sun + 1] - sun_sums_[sun];
+    lit = SamplePunctual(scene_.lights[suns_[sun]], view.receiver.position, sample);
+  } else {
+    const int chosen = local_bvh_.Choose(view.receiver, u_choice, &probability);
+    if (chosen < 0) return false;
+    const LocalLight& light = local_lights_[chosen];
+    lit = light.instance == LocalLight::kPunctual
+              ? SamplePunctual(scene_.lights[light.index], view.receiver.position, sample)
+              : SampleTriangle(light, view.receiver.position, u, sample);
   }
   sample->pdf *= probability;
   return lit && sample->pdf > 0;
@@ -179,12 +236,12 @@ bool LightSampler::SamplePunctual(const PunctualLight& light, const V3f& receive
   return intensity > 0;
 }
 
-bool LightSampler::SampleTriangle(const Entry& entry, const V3f& receiver, const V2f& u,
+bool LightSampler::SampleTriangle(const LocalLight& light, const V3f& receiver, const V2f& u,
                                   LightSample* sample) const {
   // Uniform by area: the square folded onto the triangle through its root (Turk 1990).
   const float root = std::sqrt(u.x);
   const float b = (1 - u.y) * root, c = u.y * root;
-  const WorldTriangle t = surfaces_.TriangleOf(entry.index, entry.triangle);
+  const WorldTriangle t = surfaces_.TriangleOf(light.instance, light.index);
   sample->point = t.a * (1 - b - c) + t.b * b + t.c * c;
   const V3f to_light = sample->point - receiver;
   const float distance2 = to_light.dot(to_light);
@@ -195,30 +252,32 @@ bool LightSampler::SampleTriangle(const Entry& entry, const V3f& receiver, const
   const float cosine = normal2.dot(sample->wi) / area2;
   if (cosine == 0) return false;
   sample->point_normal = normal2 * ((cosine > 0 ? -1.f : 1.f) / area2);
-  const bool turned = surfaces_.geometry(entry.index).transform.mirrors;
+  const bool turned = surfaces_.geometry(light.instance).transform.mirrors;
   sample->radiance =
-      surfaces_.Emission(entry.index, entry.triangle, turned ? c : b, turned ? b : c);
+      surfaces_.Emission(light.instance, light.index, turned ? c : b, turned ? b : c);
   sample->pdf = distance2 / (0.5f * area2 * std::fabs(cosine));
   sample->punctual = false;
   sample->at_infinity = false;
   return MaxComponent(sample->radiance) > 0;
 }
 
-float LightSampler::TrianglePdf(uint32_t instance, uint32_t triangle, const V3f& wi,
-                                float distance) const {
+float LightSampler::TrianglePdf(const LightView& view, uint32_t instance, uint32_t triangle,
+                                const V3f& wi, float distance) const {
   if (first_triangle_[instance] < 0) return 0;
   const WorldTriangle t = surfaces_.TriangleOf(instance, triangle);
   // Area times cosine at once.
   const float projected = 0.5f * std::fabs((t.b - t.a).cross(t.c - t.a).dot(wi));
   if (!(projected > 0)) return 0;
-  return ChoiceProbability(first_triangle_[instance] + triangle) * distance * distance / projected;
+  const int light = static_cast<int>(first_triangle_[instance] + triangle);
+  const float probability = view.shares[kLocalGroup] * local_bvh_.Probability(view.receiver, light);
+  return probability * distance * distance / projected;
 }
 
 V3f LightSampler::Escaped(const LightView& view, const V3f& wi, float* pdf) const {
   *pdf = 0;
-  if (entries_.empty() || entries_[0].kind != Kind::kEnvironment) return V3f(0, 0, 0);
+  if (!has_group(kEnvironmentGroup)) return V3f(0, 0, 0);
   const V3f radiance = environment_->RadianceAndPdf(view.sky, wi, pdf);
-  *pdf *= ChoiceProbability(0);
+  *pdf *= view.shares[kEnvironmentGroup];
   return radiance;
 }
 

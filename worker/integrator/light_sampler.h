@@ -1,20 +1,30 @@
-// Chooses a light by its estimated power and a point on it, for next-event estimation; and tells
-// the density of that choice, for multiple importance sampling. Emissive triangles (both sides
-// emit), punctual lights (KHR_lights_punctual; `range` is a hint and ignored, as Blender does),
-// environment.
+// Chooses a light and a point on it for next-event estimation, and tells the density of that choice
+// for multiple importance sampling. Three groups: the environment, suns (by power), local lights
+// (by a hierarchy). Emissive triangles (both sides emit), punctual lights (KHR_lights_punctual;
+// `range` is a hint and ignored, as Blender does), environment.
 #pragma once
 
 #include <Imath/ImathVec.h>
 
+#include <array>
 #include <cstdint>
 #include <vector>
 
 #include "worker/integrator/environment_sampler.h"
-#include "worker/integrator/light_guide.h"
+#include "worker/integrator/light_bvh.h"
 #include "worker/integrator/surface_reader.h"
 #include "worker/scene/scene.h"
 
 namespace tessera {
+
+class LightGuide;
+
+enum LightGroup { kEnvironmentGroup, kSunGroup, kLocalGroup, kNumLightGroups };
+using LightShares = std::array<float, kNumLightGroups>;
+
+// Probabilities of choice between the groups, of weights of which at least one is positive: each
+// group of positive weight keeps `least` at least.
+LightShares SharesOf(const std::array<double, kNumLightGroups>& weights, double least);
 
 struct LightSample {
   V3f wi;         // unit, from the receiver to the light
@@ -29,7 +39,8 @@ struct LightSample {
 // What a receiver expects of the lights: made once, then asked by both strategies. The weights
 // serve Sample alone.
 struct LightView {
-  V3f position;
+  LightReceiver receiver;
+  LightShares shares;
   SkyView sky;
 };
 using LightWeights = SkyWeights;
@@ -40,10 +51,12 @@ class LightSampler {
   LightSampler(const Scene& scene, const SurfaceReader& surfaces,
                const EnvironmentSampler* environment, float scene_radius);
 
-  // Of the sky's visibility; null without. Borrowed.
-  void SetGuide(const LightGuide* guide) { guide_of_sky_ = guide; }
+  // What a pilot learnt; null without. Borrowed.
+  void SetGuide(const LightGuide* guide) { guide_ = guide; }
 
-  bool empty() const { return entries_.empty(); }
+  bool empty() const { return num_groups() == 0; }
+  int num_groups() const;
+  bool has_group(LightGroup group) const { return static_shares_[group] > 0; }
   // Whether any light has an extent, so that a BSDF sample can meet it.
   bool has_extended_lights() const { return extended_; }
   int64_t memory_bytes() const;
@@ -53,44 +66,43 @@ class LightSampler {
   // False if the choice lights nothing here. u_choice and u in [0, 1).
   bool Sample(const LightView& view, const LightWeights& weights, float u_choice, const V2f& u,
               LightSample* sample) const;
+  // The same given the group.
+  bool SampleGroup(LightGroup group, const LightView& view, const LightWeights& weights,
+                   float u_choice, const V2f& u, LightSample* sample) const;
   // 1/sr, of Sample choosing the point of a triangle that a ray from the viewer along unit `wi` met
   // at `distance`.
-  float TrianglePdf(uint32_t instance, uint32_t triangle, const V3f& wi, float distance) const;
+  float TrianglePdf(const LightView& view, uint32_t instance, uint32_t triangle, const V3f& wi,
+                    float distance) const;
   // Radiance from infinity, and the density with which Sample finds it; zeros without any.
   V3f Escaped(const LightView& view, const V3f& wi, float* pdf) const;
 
  private:
-  enum class Kind : uint8_t { kEnvironment, kPunctual, kTriangle };
-  struct Entry {
-    Kind kind;
-    uint32_t index;  // punctual light, or instance of the triangle
-    uint32_t triangle;
-  };
-  // A light and its estimated power, W, as the sampler is being made.
-  struct Candidate {
-    Entry entry;
-    double power;
-    int group;
+  // A local light: a triangle of an instance, or a punctual light.
+  struct LocalLight {
+    static constexpr uint32_t kPunctual = ~uint32_t{0};
+    uint32_t instance;  // or kPunctual
+    uint32_t index;     // of the triangle or of the punctual light
   };
 
-  std::vector<Candidate> CollectCandidates(const Scene& scene, float scene_radius) const;
-  double TrianglePower(uint32_t instance, uint32_t triangle, float peak) const;
+  void CollectSuns();
+  // Returns their power, W.
+  double CollectLocalLights();
+  LightBounds TriangleBounds(uint32_t instance, uint32_t triangle, float peak) const;
   bool SamplePunctual(const PunctualLight& light, const V3f& receiver, LightSample* sample) const;
-  bool SampleTriangle(const Entry& entry, const V3f& receiver, const V2f& u,
+  bool SampleTriangle(const LocalLight& light, const V3f& receiver, const V2f& u,
                       LightSample* sample) const;
-  float ChoiceProbability(size_t entry) const {
-    return running_sums_[entry + 1] - running_sums_[entry];
-  }
 
   const Scene& scene_;
   const SurfaceReader& surfaces_;
   const EnvironmentSampler* environment_;
-  const LightGuide* guide_of_sky_ = nullptr;
+  const LightGuide* guide_ = nullptr;
   bool extended_ = false;
-  std::vector<Entry> entries_;
-  std::vector<float> running_sums_;      // of the choice's probabilities
-  std::vector<uint32_t> guide_;          // to them
-  std::vector<int64_t> first_triangle_;  // by instance: entry of its triangle 0; -1 = does not emit
+  LightShares static_shares_ = {};
+  std::vector<uint32_t> suns_;   // indices of punctual lights
+  std::vector<float> sun_sums_;  // running sums of their probabilities
+  std::vector<LocalLight> local_lights_;
+  LightBvh local_bvh_;
+  std::vector<int64_t> first_triangle_;  // by instance: local light of its triangle 0; -1 = none
 };
 
 }  // namespace tessera

@@ -21,7 +21,7 @@ class PathTracer::Impl {
   std::unique_ptr<EmbreeScene> embree;
   std::unique_ptr<EnvironmentSampler> environment;  // null without one
   std::unique_ptr<LightSampler> lights;
-  std::unique_ptr<LightGuide> guide;  // null without an environment
+  std::unique_ptr<LightGuide> guide;  // null where there is nothing to learn
   std::unique_ptr<CameraRays> camera;
   std::unique_ptr<PathWalker> walker;
 };
@@ -48,9 +48,10 @@ absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<S
   impl->lights =
       std::make_unique<LightSampler>(*s, *impl->surfaces, impl->environment.get(), radius);
   impl->camera = std::make_unique<CameraRays>(s->camera, settings.width, settings.height);
-  if (impl->environment != nullptr && impl->environment->emits()) {
-    impl->guide = LightGuide::Learn({*impl->surfaces, *impl->embree, *impl->environment,
-                                     *impl->camera, settings.width, settings.height});
+  if (impl->lights->has_group(kEnvironmentGroup) || impl->lights->num_groups() > 1) {
+    impl->guide =
+        LightGuide::Learn({*impl->surfaces, *impl->embree, *impl->lights, impl->environment.get(),
+                           *impl->camera, settings.width, settings.height});
     impl->lights->SetGuide(impl->guide.get());
   }
   impl->walker = std::make_unique<PathWalker>(

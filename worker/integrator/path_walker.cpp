@@ -211,8 +211,8 @@ void PathWalker::AddEmission(PathState* path) const {
   const RayHit& hit = path->hit;
   float weight = 1;
   if (path->depth > 0 && !surface.unlit) {
-    const float light_pdf =
-        parts_.lights.TrianglePdf(hit.instance, hit.triangle, path->ray.direction, hit.t);
+    const float light_pdf = parts_.lights.TrianglePdf(path->view, hit.instance, hit.triangle,
+                                                      path->ray.direction, hit.t);
     weight = StrategyWeight(path->pdf, light_pdf, LightStrategy::kBsdfOnly);
   }
   path->radiance += path->throughput * surface.emission * weight;

@@ -41,16 +41,18 @@ TEST(LightGuideTest, LearnsWhereTheWindowIs) {
   OpenTracer tracer(Room(), 32, 32, 4);
   tracer.Guide();
   EXPECT_GT(tracer.guide().num_regions(), 100);
-  const SkyVisibility* seen = tracer.guide().Sky({-2, 0, 0}, {1, 0, 0});
-  ASSERT_NE(seen, nullptr);
+  const LightGuide::Region* region = tracer.guide().At({-2, 0, 0}, {1, 0, 0});
+  ASSERT_NE(region, nullptr);
+  EXPECT_FALSE(region->open);
+  const SkyVisibility& seen = region->sky;
   // Straight ahead lies the window, in parts of four cells; up and to the side there are walls.
   int ahead = 0;
   for (float y : {-0.01f, 0.01f}) {
-    for (float z : {-0.01f, 0.01f}) ahead += (*seen)[DirectionCell(V3f(1, y, z))];
+    for (float z : {-0.01f, 0.01f}) ahead += seen[DirectionCell(V3f(1, y, z))];
   }
   EXPECT_GT(ahead, 80);
-  EXPECT_LT((*seen)[DirectionCell(V3f(1, 1, 0.2f).normalized())], 30);
-  EXPECT_LT((*seen)[DirectionCell(V3f(0.7f, 0.05f, 0.7f).normalized())], 30);
+  EXPECT_LT(seen[DirectionCell(V3f(1, 1, 0.2f).normalized())], 30);
+  EXPECT_LT(seen[DirectionCell(V3f(0.7f, 0.05f, 0.7f).normalized())], 30);
 }
 
 TEST(LightGuideTest, AnOpenSceneNeedsNoGuide) {
@@ -62,7 +64,7 @@ TEST(LightGuideTest, AnOpenSceneNeedsNoGuide) {
   scene->camera = Camera({0, 2, 0}, {0, 0, 0}, 30);
   OpenTracer tracer(std::move(scene), 8, 8, 4);
   tracer.Guide();
-  EXPECT_EQ(tracer.guide().Sky({0, 0, 0}, {0, 1, 0}), nullptr);
+  EXPECT_TRUE(tracer.guide().At({0, 0, 0}, {0, 1, 0})->open);
 }
 
 TEST(LightGuideTest, KeepsTheMeanAndLowersTheError) {
@@ -77,6 +79,24 @@ TEST(LightGuideTest, KeepsTheMeanAndLowersTheError) {
   EXPECT_LT(b.standard_error[0], a.standard_error[0]);
 }
 
+TEST(LightGuideTest, SharesFollowTheLightThatArrives) {
+  // Inside, a lamp gives more than the window, and the sun does not enter; outside it is the sun.
+  auto scene = Room();
+  const int lamp = AddMaterial(Emitter(V3f(1000)), scene.get());
+  AddMesh(Quad(lamp, {-0.1f, 1.9f, -0.1f}, {0.2f, 0, 0}, {0, 0, 0.2f}), scene.get());
+  PunctualLight sun;
+  sun.type = LightType::kDirectional;
+  sun.intensity = V3f(100);
+  sun.direction = V3f(1, -0.2f, 0).normalized();
+  scene->lights.push_back(sun);
+  OpenTracer inside(std::move(scene), 16, 16, 4);
+  inside.Guide();
+  const LightShares& shares = inside.guide().At({-2, 0, 0}, {1, 0, 0})->shares;
+  EXPECT_GT(shares[kLocalGroup], 0.5f);
+  EXPECT_NEAR(shares[kSunGroup], 0.1f, 1e-6);
+  EXPECT_NEAR(shares[0] + shares[1] + shares[2], 1, 1e-6);
+}
+
 TEST(LightGuideTest, IsAPureFunctionOfTheScene) {
   OpenTracer a(Room(), 16, 16, 4), b(Room(), 16, 16, 4);
   a.Guide();
@@ -84,7 +104,8 @@ TEST(LightGuideTest, IsAPureFunctionOfTheScene) {
   ASSERT_EQ(a.guide().num_regions(), b.guide().num_regions());
   for (int i = 0; i < 100; ++i) {
     const V3f p(-2, 0.03f * static_cast<float>(i - 50), 0.02f * static_cast<float>(i - 50));
-    EXPECT_EQ(*a.guide().Sky(p, {1, 0, 0}), *b.guide().Sky(p, {1, 0, 0}));
+    EXPECT_EQ(a.guide().At(p, {1, 0, 0})->sky, b.guide().At(p, {1, 0, 0})->sky);
+    EXPECT_EQ(a.guide().At(p, {1, 0, 0})->shares, b.guide().At(p, {1, 0, 0})->shares);
   }
 }
 

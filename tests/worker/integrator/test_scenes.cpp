@@ -151,7 +151,8 @@ OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int 
 }
 
 void OpenTracer::Guide() {
-  guide_ = LightGuide::Learn({*surfaces_, *embree_, *environment_, *camera_, width_, height_});
+  guide_ = LightGuide::Learn(
+      {*surfaces_, *embree_, *lights_, environment_.get(), *camera_, width_, height_});
   lights_->SetGuide(guide_.get());
 }
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "worker/integrator/light_guide.h"
 #include "worker/integrator/path_tracer.h"
 #include "worker/integrator/path_walker.h"
 #include "worker/scene/scene.h"
@@ -48,7 +49,7 @@ class OpenTracer {
   OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int max_depth,
              LightStrategy strategy = LightStrategy::kBoth);
 
-  // Lets a pilot learn the sky's visibility; the scene must have an environment.
+  // Lets a pilot learn what light arrives where.
   void Guide();
 
   // Mean radiance of every pixel, and its standard error over `repeats` independent seeds.
