@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <type_traits>
 
 #include "core/base/check.h"
 #include "worker/integrator/onb.h"
@@ -33,6 +34,14 @@ constexpr int kRouletteStart = 3;
 constexpr int kDepthLimit = 1024;
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+// Converts to what `make` returns: an optional that it is put into needs no copy.
+template <typename Make>
+struct InPlace {
+  explicit InPlace(const Make& function) : make(function) {}
+  operator std::invoke_result_t<Make>() const { return make(); }
+  const Make& make;
+};
 
 void Store(const V3f& v, float (&out)[3]) {
   out[0] = v.x;
@@ -148,9 +157,13 @@ void PathWalker::AddEscaped(PathState* path) const {
 
 // Reads the surfaces that were met; leaves in `met` those from which the path may go on.
 void PathWalker::Read(Batch* batch) const {
+  for (int i : batch->met) parts_.surfaces.PrefetchTriangle(batch->paths[i].hit);
+  for (int i : batch->met) parts_.surfaces.PrefetchVertices(batch->paths[i].hit);
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
-    path.surface = parts_.surfaces.Read(path.hit, -path.ray.direction);
+    path.surface.emplace(InPlace([&] {
+      return parts_.surfaces.Read(path.hit, -path.ray.direction);
+    }));
   }
   Batch::List scattering;
   for (int i : batch->met) {
@@ -222,9 +235,14 @@ void PathWalker::AddEmission(PathState* path) const {
 void PathWalker::Illuminate(Batch* batch) const {
   batch->lit.Clear();
   if (parts_.lights.empty()) return;
+  std::array<LightWeights, kPathsMax> weights;
+  for (int i : batch->met) {
+    PathState& path = batch->paths[i];
+    parts_.lights.Look(*path.surface, path.bsdf->transmits(), &path.view, &weights[i]);
+  }
   Batch::List facing;
   for (int i : batch->met) {
-    if (SampleLight(&batch->paths[i])) facing.Add(i);
+    if (SampleLight(weights[i], &batch->paths[i])) facing.Add(i);
   }
   for (int i : facing) {
     PathState& path = batch->paths[i];
@@ -239,10 +257,8 @@ void PathWalker::Illuminate(Batch* batch) const {
   for (int i : batch->lit) AimShadow(&batch->paths[i]);
 }
 
-bool PathWalker::SampleLight(PathState* path) const {
+bool PathWalker::SampleLight(const LightWeights& weights, PathState* path) const {
   const Surface& surface = *path->surface;
-  LightWeights weights;
-  parts_.lights.Look(surface, path->bsdf->transmits(), &path->view, &weights);
   if (!parts_.lights.Sample(path->view, weights, path->numbers[kChoice].x,
                             path->numbers[kLightPoint], &path->light)) {
     return false;

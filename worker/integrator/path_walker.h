@@ -65,7 +65,7 @@ class PathWalker {
   void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
   void AddEmission(PathState* path) const;
   bool Arrive(PathState* path, PixelSample* sample) const;
-  bool SampleLight(PathState* path) const;
+  bool SampleLight(const LightWeights& weights, PathState* path) const;
   void AimShadow(PathState* path) const;
   bool Continue(const BsdfSample& scattered, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;

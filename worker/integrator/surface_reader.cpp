@@ -66,8 +66,6 @@ SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometr
     : scene_(scene), geometries_(geometries) {
   std::map<float, const GlassAlbedoTable*> tables;  // by index of refraction
   for (const Material& material : scene.materials) {
-    absorption_.push_back(AbsorptionOf(material));
-    has_layers_.push_back(material.clearcoat > 0 || MaxComponent(material.sheen_color) > 0);
     const GlassAlbedoTable* table = nullptr;
     if (material.transmission > 0 && material.thickness > 0) {
       const float ior = RefractingIor(material.ior);
@@ -78,7 +76,7 @@ SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometr
       }
       table = entry->second;
     }
-    glass_albedo_.push_back(table);
+    constants_.push_back(ConstantsOf(material, table));
   }
   for (const Texture& texture : scene.textures) {
     bool has_alpha = false;
@@ -136,6 +134,37 @@ WorldTriangle SurfaceReader::TriangleOf(uint32_t instance, uint32_t triangle) co
     if (geometry.transform.mirrors) std::swap(world.b, world.c);
   }
   return world;
+}
+
+SurfaceReader::Constants SurfaceReader::ConstantsOf(const Material& material,
+                                                    const GlassAlbedoTable* glass) const {
+  Constants c;
+  c.textured = false;
+  for (const TextureRef* ref :
+       {&material.base_color_texture, &material.metallic_roughness_texture,
+        &material.emission_texture, &material.transmission_texture, &material.specular_texture,
+        &material.specular_color_texture}) {
+    c.textured |= ref->texture >= 0;
+  }
+  c.has_normal_map = material.normal_texture.texture >= 0;
+  c.has_layers = material.clearcoat > 0 || MaxComponent(material.sheen_color) > 0;
+  c.unlit = material.unlit;
+  c.transmits = material.transmission > 0;
+  c.absorption = AbsorptionOf(material);
+  const V3f base(material.base_color.x, material.base_color.y, material.base_color.z);
+  c.emission = material.unlit ? base : material.emission;
+  c.bsdf.base_color = {Clamp01(base.x), Clamp01(base.y), Clamp01(base.z)};
+  c.bsdf.metallic = material.metallic;
+  c.bsdf.roughness = material.roughness;
+  c.bsdf.transmission = material.transmission;
+  c.bsdf.ior = material.ior;
+  if (material.has_specular) {
+    c.bsdf.specular = material.specular;
+    c.bsdf.specular_color = material.specular_color;
+  }
+  c.bsdf.thin_walled = !(material.thickness > 0);
+  c.bsdf.glass_albedo = glass;
+  return c;
 }
 
 struct SurfaceReader::Place {
@@ -201,7 +230,7 @@ V3f SurfaceReader::MappedNormal(const Place& place, const TextureRef& map, float
   return mapped.dot(mapped) > 0.5f ? mapped : normal;
 }
 
-void SurfaceReader::ReadBase(const Place& place, Surface* surface) const {
+void SurfaceReader::ReadTextures(const Place& place, Surface* surface) const {
   const Material& material = place.material;
   V3f base(material.base_color.x, material.base_color.y, material.base_color.z);
   if (material.base_color_texture.texture >= 0) {
@@ -217,27 +246,19 @@ void SurfaceReader::ReadBase(const Place& place, Surface* surface) const {
                      : Emission(place.hit.instance, place.hit.triangle, place.hit.u, place.hit.v);
   BsdfParameters& p = surface->bsdf;
   p.base_color = {Clamp01(base.x), Clamp01(base.y), Clamp01(base.z)};
-  p.metallic = material.metallic;
-  p.roughness = material.roughness;
   if (material.metallic_roughness_texture.texture >= 0) {
     const V4f mr = Texel(place, material.metallic_roughness_texture);
     p.roughness *= mr.y;
     p.metallic *= mr.z;
   }
-  p.transmission = material.transmission;
   if (material.transmission > 0 && material.transmission_texture.texture >= 0) {
     p.transmission *= Texel(place, material.transmission_texture).x;
   }
-  p.ior = material.ior;
-  p.thin_walled = !(material.thickness > 0);
-  p.entering = surface->front_face;
-  p.glass_albedo = glass_albedo_[place.mesh.material];
+  if (material.has_specular) ReadSpecular(place, &p);
 }
 
 void SurfaceReader::ReadSpecular(const Place& place, BsdfParameters* bsdf) const {
   const Material& material = place.material;
-  bsdf->specular = material.specular;
-  bsdf->specular_color = material.specular_color;
   if (material.specular_texture.texture >= 0) {
     bsdf->specular *= Texel(place, material.specular_texture).w;
   }
@@ -287,12 +308,13 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   const InstanceGeometry& geometry = geometries_[hit.instance];
   const Mesh& mesh = *geometry.mesh;
   const Material& material = scene_.materials[mesh.material];
+  const Constants& constants = constants_[mesh.material];
   const WorldTriangle t = TriangleOf(hit.instance, hit.triangle);
   const Place place{hit, geometry, mesh, material, mesh.triangles[hit.triangle], t};
 
   Surface s;
   s.material = static_cast<uint32_t>(mesh.material);
-  s.unlit = material.unlit;
+  s.unlit = constants.unlit;
 
   // Geometry. Barycentric interpolation is the most exact position (Waechter & Binder 2019).
   const bool turned = geometry.instanced && geometry.transform.mirrors;
@@ -306,7 +328,7 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   V3f ng = Unit((t.b - t.a).cross(t.c - t.a));
   const V3f smooth = SmoothNormal(place);
   V3f ns = smooth;
-  if (material.normal_texture.texture >= 0) {
+  if (constants.has_normal_map) {
     ns = MappedNormal(place, material.normal_texture, material.normal_scale, smooth);
   }
   s.front_face = ng.dot(wo) >= 0;
@@ -317,12 +339,14 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   s.geometric_normal = ng;
   s.shading_normal = AboveSurface(ns, ng, wo);
 
-  ReadBase(place, &s);
-  if (material.has_specular) ReadSpecular(place, &s.bsdf);
+  s.emission = constants.emission;
+  s.bsdf = constants.bsdf;
+  s.bsdf.entering = s.front_face;
+  if (constants.textured || !mesh.colors.empty()) ReadTextures(place, &s);
   // The inside of a solid has no layers.
-  const bool is_outside = s.front_face || s.bsdf.thin_walled || material.transmission <= 0;
-  if (has_layers_[mesh.material] && is_outside) ReadLayers(place, smooth, wo, &s);
-  s.absorption = absorption_[mesh.material];
+  const bool is_outside = s.front_face || s.bsdf.thin_walled || !constants.transmits;
+  if (constants.has_layers && is_outside) ReadLayers(place, smooth, wo, &s);
+  s.absorption = constants.absorption;
   s.absorbs = !s.front_face && MaxComponent(s.absorption) > 0;
   return s;
 }

@@ -48,6 +48,17 @@ class SurfaceReader {
   // Borrows both for its lifetime.
   SurfaceReader(const Scene& scene, std::span<const InstanceGeometry> geometries);
 
+  // Hints that Read of this hit follows: of its triangle's indices, then of its vertices.
+  void PrefetchTriangle(const RayHit& hit) const {
+    __builtin_prefetch(&geometries_[hit.instance].mesh->triangles[hit.triangle]);
+  }
+  void PrefetchVertices(const RayHit& hit) const {
+    const Mesh& mesh = *geometries_[hit.instance].mesh;
+    for (const uint32_t corner : mesh.triangles[hit.triangle]) {
+      __builtin_prefetch(&mesh.positions[corner]);
+      if (!mesh.normals.empty()) __builtin_prefetch(&mesh.normals[corner]);
+    }
+  }
   // `wo`: unit, towards where the ray came from.
   Surface Read(const RayHit& hit, const V3f& wo) const;
   // Coverage in [0, 1] of a point of a triangle; 0 or 1 for AlphaMode::kMask.
@@ -68,17 +79,24 @@ class SurfaceReader {
   V3f MappedNormal(const Place& place, const TextureRef& map, float scale, const V3f& smooth) const;
   V4f Texel(const Place& place, const TextureRef& ref) const;
   V4f SrgbTexel(const Place& place, const TextureRef& ref) const;
-  void ReadBase(const Place& place, Surface* surface) const;
+  void ReadTextures(const Place& place, Surface* surface) const;
   void ReadSpecular(const Place& place, BsdfParameters* bsdf) const;
   void ReadLayers(const Place& place, const V3f& smooth, const V3f& wo, Surface* surface) const;
 
+  // What a material says where it has no textures, close together in memory.
+  struct Constants {
+    bool textured;  // anything but normals
+    bool has_normal_map, has_layers, unlit, transmits;
+    V3f emission, absorption;  // absorption: 1/m
+    BsdfParameters bsdf;
+  };
+  Constants ConstantsOf(const Material& material, const GlassAlbedoTable* glass) const;
+
   const Scene& scene_;
   std::span<const InstanceGeometry> geometries_;
-  std::vector<V3f> absorption_;      // by material, 1/m
-  std::vector<uint8_t> has_layers_;  // by material
   std::vector<std::unique_ptr<const GlassAlbedoTable>> glass_tables_;
-  std::vector<const GlassAlbedoTable*> glass_albedo_;  // by material; null: no refracting glass
-  std::vector<uint8_t> texture_has_alpha_;             // by texture
+  std::vector<Constants> constants_;        // by material
+  std::vector<uint8_t> texture_has_alpha_;  // by texture
 };
 
 }  // namespace tessera
