@@ -27,7 +27,8 @@ float FinitePositive(float x) { return x > 0 && x < 3e38f ? x : 0.f; }
 
 // Eight numbers at once, in as many registers as the machine needs; the same bits in any.
 using Float8 = float __attribute__((vector_size(32)));
-using Byte8 = uint8_t __attribute__((vector_size(8)));
+using Int8 = int32_t __attribute__((vector_size(32)));
+using UInt8 = uint32_t __attribute__((vector_size(32)));
 
 inline Float8 Load8(const float* from) {
   Float8 v;
@@ -36,9 +37,13 @@ inline Float8 Load8(const float* from) {
 }
 
 inline Float8 Load8(const uint8_t* from) {
-  Byte8 v;
-  std::memcpy(&v, from, sizeof(v));
-  return __builtin_convertvector(v, Float8);
+  // By shifts of 32-bit numbers: the compiler converts bytes to floats one by one.
+  uint32_t words[2];
+  std::memcpy(words, from, sizeof(words));
+  const UInt8 low = UInt8{} + words[0], high = UInt8{} + words[1];
+  const UInt8 both = __builtin_shufflevector(low, high, 0, 1, 2, 3, 8, 9, 10, 11);
+  const UInt8 bytes = (both >> UInt8{0, 8, 16, 24, 0, 8, 16, 24}) & 255u;
+  return __builtin_convertvector(reinterpret_cast<Int8>(bytes), Float8);
 }
 
 // Mean of the positive part of a cosine that is spread evenly by kCellRadius about `cosine`.
