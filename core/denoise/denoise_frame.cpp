@@ -11,15 +11,12 @@
 namespace tessera {
 namespace {
 
-// Windows are cut to this before they are filtered: large against a halo, small against a frame.
-constexpr int kWindowSizePx = 128;
-
-std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows) {
+std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows, int size_px) {
   std::vector<PixelRect> parts;
   for (const PixelRect& window : windows) {
-    for (int y = window.y_begin; y < window.y_end; y += kWindowSizePx) {
-      for (int x = window.x_begin; x < window.x_end; x += kWindowSizePx) {
-        parts.push_back(PixelRect::FromSize(x, y, kWindowSizePx, kWindowSizePx).Intersect(window));
+    for (int y = window.y_begin; y < window.y_end; y += size_px) {
+      for (int x = window.x_begin; x < window.x_end; x += size_px) {
+        parts.push_back(PixelRect::FromSize(x, y, size_px, size_px).Intersect(window));
       }
     }
   }
@@ -37,7 +34,7 @@ void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
     TESSERA_CHECK(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
                   out->bounds.Contains(window));
   }
-  const std::vector<PixelRect> parts = SplitWindows(windows);
+  const std::vector<PixelRect> parts = SplitWindows(windows, denoiser.window_px());
   // TBB warns on stderr when asked for more than this.
   num_threads = std::min(num_threads, oneapi::tbb::info::default_concurrency());
   if (num_threads <= 1) {

@@ -5,6 +5,7 @@
 #include "core/denoise/bilateral_filter.h"
 #include "core/denoise/geometric_filter.h"
 #include "core/denoise/none_filter.h"
+#include "core/denoise/regression_filter.h"
 
 namespace tessera {
 
@@ -15,9 +16,12 @@ FilteredPlanes::FilteredPlanes(const PixelRect& rect) : bounds(rect) {
   }
 }
 
-std::vector<std::string> DenoiserNames() { return {"bilateral", "geometric", "none"}; }
+std::vector<std::string> DenoiserNames() {
+  return {"regression", "bilateral", "geometric", "none"};
+}
 
 absl::StatusOr<std::unique_ptr<Denoiser>> MakeDenoiser(std::string_view name) {
+  if (name == "regression") return std::make_unique<RegressionFilter>();
   if (name == "bilateral") return std::make_unique<BilateralFilter>();
   if (name == "geometric") return std::make_unique<GeometricFilter>();
   if (name == "none") return std::make_unique<NoneFilter>();

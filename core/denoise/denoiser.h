@@ -37,6 +37,8 @@ class Denoiser {
   // Pixels around a window that Filter reads, the calibration of the variance included or not as
   // planes.variance is an input.
   virtual int halo_px() const = 0;
+  // The side of the windows into which large areas are best split: large against the halo.
+  virtual int window_px() const { return 128; }
   // Writes the pixels of `window` of `out` from `planes`, whose bounds contain the window expanded
   // by halo_px and cut at parameters.frame. Pixels without samples are filled or left zero with an
   // infinite error. Threads: const, any number at once on disjoint windows.

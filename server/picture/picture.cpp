@@ -20,7 +20,7 @@ namespace {
 constexpr double kHalfWidthSigmas = 1.959964;
 constexpr double kRelMseEpsilon = 0.01;  // DESIGN.md, definitions
 constexpr double kLeastError = 1e-12;    // what stands for none, as 0 means unknown
-constexpr int kPartSizePx = 128;         // of a unit of work: large against a halo
+constexpr int kResolvedPartPx = 128;     // of a unit of work without a large halo
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
 uint64_t NextSerial() {
@@ -39,12 +39,12 @@ std::vector<int64_t> Reached(const TileGrid& grid, const std::vector<int64_t>& t
   return {reached.begin(), reached.end()};
 }
 
-std::vector<PixelRect> Split(const std::vector<PixelRect>& windows) {
+std::vector<PixelRect> Split(const std::vector<PixelRect>& windows, int size_px) {
   std::vector<PixelRect> parts;
   for (const PixelRect& window : windows) {
-    for (int y = window.y_begin; y < window.y_end; y += kPartSizePx) {
-      for (int x = window.x_begin; x < window.x_end; x += kPartSizePx) {
-        parts.push_back(PixelRect::FromSize(x, y, kPartSizePx, kPartSizePx).Intersect(window));
+    for (int y = window.y_begin; y < window.y_end; y += size_px) {
+      for (int x = window.x_begin; x < window.x_end; x += size_px) {
+        parts.push_back(PixelRect::FromSize(x, y, size_px, size_px).Intersect(window));
       }
     }
   }
@@ -159,7 +159,7 @@ double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource&
   std::vector<int64_t> resolved;
   double cpu_seconds = Resolve(changed, source, num_threads, &resolved);
   const std::vector<PixelRect> moved =
-      Split(JoinTiles(grid_, Reached(grid_, resolved, kCalibrationRadiusPx)));
+      Split(JoinTiles(grid_, Reached(grid_, resolved, kCalibrationRadiusPx)), kResolvedPartPx);
   {
     std::unique_lock lock(variance_mu_);
     cpu_seconds += ParallelFor(moved.size(), num_threads,
@@ -203,7 +203,7 @@ double Picture::Resolve(const std::vector<int64_t>& changed, const TileSource& s
 double Picture::Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                        int num_threads) {
   const FrameParameters parameters{.frame = grid_.region(), .quality = quality};
-  const std::vector<PixelRect> parts = Split(windows);
+  const std::vector<PixelRect> parts = Split(windows, denoiser_->window_px());
   return ParallelFor(parts.size(), num_threads, [&](size_t i) {
     FilteredPlanes part(parts[i]);
     denoiser_->Filter(planes_, parameters, parts[i], &part);

@@ -10,7 +10,7 @@ namespace {
 using ::testing::HasSubstr;
 
 TEST(MakeDenoiser, MakesEachByItsName) {
-  EXPECT_EQ(DenoiserNames().front(), "bilateral");
+  EXPECT_EQ(DenoiserNames().front(), "regression");
   for (const std::string& name : DenoiserNames()) {
     const auto denoiser = MakeDenoiser(name);
     ASSERT_TRUE(denoiser.ok()) << name;

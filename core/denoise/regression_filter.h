@@ -1,0 +1,30 @@
+// The default filter: collaborative first-order regression of cross-filtered halves on position and
+// features, in several passes that are blended by estimated risk. docs/denoiser.md has formulas,
+// sources and what was tried.
+#pragma once
+
+#include "core/denoise/denoiser.h"
+
+namespace tessera {
+
+// Final: features are prefiltered; a first pass fits each half of the samples with weights from the
+// other; two passes fit again with weights from the first one's result, one comparing patches, one
+// single pixels; every pixel gets the blend of the three that has the least estimated error, or the
+// raw mean where none is better. Preview: the first pass alone, in smaller windows.
+//
+// Error: 1.96 times the root of the mean squared error as the halves estimate it (noise and bias),
+// pooled over 9x9 pixels, and at least of the noise by which the filtered halves differ.
+// +inf where a pixel has fewer than two samples.
+//
+// Pixels with fewer than two samples keep their raw mean and lend nothing to others; pixels beyond
+// 2^40 keep theirs. No filtered value is negative: radiance is not.
+class RegressionFilter final : public Denoiser {
+ public:
+  std::string_view name() const override { return "regression"; }
+  int halo_px() const override;
+  int window_px() const override { return 256; }
+  void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
+              FilteredPlanes* out) const override;
+};
+
+}  // namespace tessera

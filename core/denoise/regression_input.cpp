@@ -1,0 +1,99 @@
+#include "core/denoise/regression_input.h"
+
+#include <algorithm>
+
+#include "core/denoise/box_sum.h"
+
+namespace tessera {
+namespace {
+
+constexpr float kValueMax = kRegressionValueMax;
+constexpr float kVarianceMax = 0x1p80f;
+// The rounding error of a difference of two means, relative to their squares, and what keeps the
+// distance of two black pixels at 0 / positive.
+constexpr float kRoundingVariance = 0x1p-40f;
+constexpr float kTiny = 1e-30f;
+
+// False for NaN.
+float Cut(float value, float limit) { return value < limit ? std::max(value, -limit) : limit; }
+
+// The squared differences of the halves, as variances of the mean, over the samples' variances:
+// sums over the channels and the pixels around each pixel of `bounds`.
+Plane VarianceRatio(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes) {
+  const PixelRect read = bounds.Expand(kVarianceRadiusPx).Intersect(frame);
+  Plane difference(static_cast<size_t>(read.area()));
+  Plane spread(difference.size());
+  size_t to = 0;
+  for (int y = read.y_begin; y < read.y_end; ++y) {
+    int64_t from = planes.bounds.IndexOf(read.x_begin, y);
+    for (int x = read.x_begin; x < read.x_end; ++x, ++from, ++to) {
+      const auto p = static_cast<size_t>(from);
+      const uint32_t count = planes.samples[p];
+      if (count < 2) continue;
+      const float share_b = static_cast<float>(count / 2) / static_cast<float>(count);
+      for (size_t c = 0; c < 3; ++c) {
+        const float d = Cut(planes.color_half[0][c][p], kValueMax) -
+                        Cut(planes.color_half[1][c][p], kValueMax);
+        difference[to] += d * d * (share_b * (1.0f - share_b));
+        spread[to] += Cut(planes.sample_variance_of_mean[c][p], kVarianceMax);
+      }
+    }
+  }
+  const PixelRect inside = bounds.Intersect(frame);
+  Plane ratio = BoxSum(difference, read, kVarianceRadiusPx, inside);
+  const Plane spread_sum = BoxSum(spread, read, kVarianceRadiusPx, inside);
+  for (size_t i = 0; i < ratio.size(); ++i) ratio[i] /= spread_sum[i] + kTiny;
+  return ratio;
+}
+
+}  // namespace
+
+RegressionInput::RegressionInput(const PixelRect& rect, const PixelRect& frame,
+                                 const FramePlanes& planes)
+    : bounds(rect) {
+  const size_t area = SlackArea(bounds);
+  for (Planes3* three : {&color[0], &color[1], &variance}) {
+    for (Plane& plane : *three) plane.resize(area);
+  }
+  for (int k = 0; k < kNumFeatures; ++k) {
+    feature[static_cast<size_t>(k)].resize(area);
+    feature_variance[static_cast<size_t>(k)].resize(area);
+  }
+  known.resize(area);
+  share_a.resize(area);
+  const PixelRect inside = bounds.Intersect(frame);
+  const Plane ratio = VarianceRatio(bounds, frame, planes);
+  size_t to = 0;
+  for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+    const int from_y = std::clamp(y, inside.y_begin, inside.y_end - 1);
+    for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++to) {
+      const int from_x = std::clamp(x, inside.x_begin, inside.x_end - 1);
+      const auto p = static_cast<size_t>(planes.bounds.IndexOf(from_x, from_y));
+      const float scale = ratio[static_cast<size_t>(inside.IndexOf(from_x, from_y))];
+      const uint32_t count = planes.samples[p];
+      known[to] = count >= 2 && frame.Contains(x, y) ? 1.0f : 0.0f;
+      share_a[to] =
+          count >= 2 ? static_cast<float>(count - count / 2) / static_cast<float>(count) : 1.0f;
+      for (size_t c = 0; c < 3; ++c) {
+        const float mean = Cut(planes.color[c][p], kValueMax);
+        color[0][c][to] = Cut(planes.color_half[0][c][p], kValueMax);
+        color[1][c][to] = Cut(planes.color_half[1][c][p], kValueMax);
+        variance[c][to] =
+            Cut(Cut(planes.sample_variance_of_mean[c][p], kVarianceMax) * scale, kVarianceMax) +
+            kRoundingVariance * mean * mean + kTiny;
+        SetFeature(planes.albedo[c][p], planes.albedo_variance[c][p], c, to);
+        SetFeature(planes.normal[c][p], planes.normal_variance[c][p], 3 + c, to);
+      }
+      SetFeature(planes.depth[p], planes.depth_variance[p], 6, to);
+    }
+  }
+}
+
+void RegressionInput::SetFeature(float mean, float variance_of_mean, size_t k, size_t to) {
+  const float value = Cut(mean, kValueMax);
+  feature[k][to] = value;
+  feature_variance[k][to] =
+      Cut(variance_of_mean, kVarianceMax) + kRoundingVariance * value * value + kTiny;
+}
+
+}  // namespace tessera

@@ -1,0 +1,47 @@
+// What the regression filter reads: planes that are finite everywhere, continued past the frame's
+// border by the nearest pixel, so that its loops have no branches.
+#pragma once
+
+#include <array>
+
+#include "core/denoise/denoiser.h"
+
+namespace tessera {
+
+// Albedo, shading normal, depth.
+inline constexpr int kNumFeatures = 7;
+
+// A window's rows are read in whole vectors, which reach past its right end by less than this.
+inline constexpr int kRowSlackPx = 16;
+
+// Larger values are cut here: sums of their squares over any window stay finite.
+inline constexpr float kRegressionValueMax = 0x1p40f;
+
+// Floats of a plane over `bounds` with kRowSlackPx after the last.
+inline size_t SlackArea(const PixelRect& bounds) {
+  return static_cast<size_t>(bounds.area()) + kRowSlackPx;
+}
+
+struct RegressionInput {
+  // Reads what lies inside both `bounds` and `frame` from `planes`, and around it what the
+  // variances need (kVarianceRadiusPx).
+  RegressionInput(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes);
+
+  PixelRect bounds;                       // all planes are row-major over it, SlackArea long
+  std::array<Planes3, kNumHalves> color;  // means of the halves
+  // Of the mean of both halves: the samples' own variance, times what the difference of the halves
+  // says of it in the neighbourhood (low-discrepancy samples do better than their variance).
+  Planes3 variance;
+  std::array<Plane, kNumFeatures> feature;           // means of both halves
+  std::array<Plane, kNumFeatures> feature_variance;  // of those means, > 0
+  Plane known;    // 1: inside the frame, both halves have samples; else 0
+  Plane share_a;  // half A's share of the samples
+
+ private:
+  void SetFeature(float mean, float variance_of_mean, size_t k, size_t to);
+};
+
+// The variance of a pixel reads the halves this far around it.
+inline constexpr int kVarianceRadiusPx = 4;
+
+}  // namespace tessera

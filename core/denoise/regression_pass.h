@@ -1,0 +1,53 @@
+// One pass of collaborative regression over a window of the frame: fits at the centres of a global
+// lattice, each predicting its whole window, joined by their weights.
+// Collaborative output after Bitterli et al. 2016 (eq. 8) and Boughida & Boubekeur 2017.
+#pragma once
+
+#include "core/denoise/feature_prefilter.h"
+#include "core/denoise/regression_input.h"
+#include "core/denoise/window_fit.h"
+
+namespace tessera {
+
+// Every pixel whose weights from the lattice's centres add up to less than one pixel's own weight
+// becomes a centre itself, and predicts the pixels this far around it.
+inline constexpr int kOnDemandReachPx = 3;
+
+// Each half filtered by itself, row-major over `bounds`, SlackArea long.
+struct PassOutput {
+  PixelRect bounds;
+  std::array<Planes3, kNumHalves> color;
+};
+
+struct PassSettings {
+  PixelRect frame;
+  PixelRect bounds;  // of the output
+  int window_radius_px;
+  int lattice_step_px;
+};
+
+// Pixels around the output that a pass reads, but for the patches of its weights.
+inline int PassReachPx(int window_radius_px) { return 2 * window_radius_px + kOnDemandReachPx; }
+
+// The first pass. Half A is fitted with weights from half B and the other way round, so that no
+// weight depends on the noise that it multiplies; patches are 3x3. Coefficients beyond the constant
+// are shrunk by the noise that the samples' variance lets expect.
+// features.bounds must reach PassReachPx beyond settings.bounds, input.bounds one pixel further.
+PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
+                        const PassSettings& settings);
+
+// What guides the second pass: the first one's result and its variance, over `bounds`.
+struct Pilot {
+  PixelRect bounds;
+  Planes3 color;
+  Planes3 variance;  // > 0
+};
+
+// A later pass. Both halves are fitted with the weights of one pilot, which costs half as much;
+// coefficients beyond the constant are shrunk by the noise that the halves show.
+// features.bounds must reach PassReachPx beyond settings.bounds, input.bounds and pilot.bounds
+// patch_radius_px further.
+PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
+                        const Pilot& pilot, int patch_radius_px, const PassSettings& settings);
+
+}  // namespace tessera

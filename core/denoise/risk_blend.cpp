@@ -1,0 +1,218 @@
+#include "core/denoise/risk_blend.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include "core/base/check.h"
+#include "core/denoise/box_sum.h"
+
+namespace tessera {
+namespace {
+
+// The error measure's own floor (relMSE, DESIGN).
+constexpr float kRelMseEpsilon = 0.01f;
+
+using Matrix = std::array<std::array<float, kNumCandidatesMax>, kNumCandidatesMax>;
+using Weights = std::array<float, kNumCandidatesMax>;
+
+size_t At(const PixelRect& bounds, int x, int y) {
+  return static_cast<size_t>(bounds.IndexOf(x, y));
+}
+
+// Planes over the pixels that are pooled.
+struct Terms {
+  Terms(const PixelRect& rect, size_t num_candidates)
+      : bounds(rect), difference(static_cast<size_t>(rect.area())), variance(difference.size()) {
+    products.resize(num_candidates * (num_candidates + 1) / 2, Plane(difference.size()));
+  }
+  PixelRect bounds;
+  std::vector<Plane> products;  // M_jk, row by row of the lower triangle, with the data's noise
+  Plane difference;             // of the halves, as a variance of the mean
+  Plane variance;
+};
+
+// M_jk of one pixel, summed over channels relative to the picture's brightness. E of (B - F_A)^2 is
+// the squared error of F_A plus the variance of B; (F_A - F_B)^2 takes out what averaging F_A and
+// F_B gains. The variances that it leaves, the same for all j and k, are taken out by the caller.
+void SetTerms(const RegressionInput& input, std::span<const PassOutput> candidates, int x, int y,
+              Terms* terms) {
+  const size_t p = At(input.bounds, x, y);
+  const size_t to = At(terms->bounds, x, y);
+  if (input.known[p] == 0) return;
+  const float share_a = input.share_a[p];
+  const float share_b = 1.0f - share_a;
+  const size_t n = candidates.size();
+  std::array<size_t, kNumCandidatesMax> at;
+  float square = 0;
+  for (size_t j = 0; j < n; ++j) at[j] = At(candidates[j].bounds, x, y);
+  for (size_t c = 0; c < 3; ++c) {
+    const float mean = share_a * candidates[0].color[0][c][at[0]] +
+                       share_b * candidates[0].color[1][c][at[0]];
+    square += mean * mean;
+  }
+  const float scale = 1.0f / (square / 3.0f + kRelMseEpsilon);
+  for (size_t c = 0; c < 3; ++c) {
+    const float a = input.color[0][c][p];
+    const float b = input.color[1][c][p];
+    std::array<float, kNumCandidatesMax> residual_a, residual_b, difference;
+    for (size_t j = 0; j < n; ++j) {
+      const float filtered_a = candidates[j].color[0][c][at[j]];
+      const float filtered_b = candidates[j].color[1][c][at[j]];
+      residual_a[j] = b - filtered_a;
+      residual_b[j] = a - filtered_b;
+      difference[j] = filtered_a - filtered_b;
+    }
+    size_t i = 0;
+    for (size_t j = 0; j < n; ++j) {
+      for (size_t k = 0; k <= j; ++k, ++i) {
+        terms->products[i][to] += scale * (share_a * (residual_a[j] * residual_a[k]) +
+                                           share_b * (residual_b[j] * residual_b[k]) -
+                                           share_a * share_b * (difference[j] * difference[k]));
+      }
+    }
+    terms->difference[to] += scale * (share_a * share_b) * ((a - b) * (a - b));
+    terms->variance[to] += scale * input.variance[c][p];
+  }
+}
+
+// Minimises w' m w over weights that add up to 1, those in `is_free` alone; false if some are
+// negative, the most negative of which is then no longer free.
+bool SolveFree(const Matrix& m, size_t n, std::array<bool, kNumCandidatesMax>* is_free,
+               Weights* weights) {
+  std::array<size_t, kNumCandidatesMax> free;
+  size_t num_free = 0;
+  for (size_t j = 0; j < n; ++j) {
+    (*weights)[j] = 0;
+    if ((*is_free)[j]) free[num_free++] = j;
+  }
+  const size_t last = free[num_free - 1];
+  const size_t size = num_free - 1;
+  // In terms of all but the last weight, by elimination: positive definite, no pivots needed.
+  std::array<std::array<double, kNumCandidatesMax + 1>, kNumCandidatesMax> a;
+  for (size_t i = 0; i < size; ++i) {
+    for (size_t k = 0; k < size; ++k) {
+      a[i][k] = double{m[free[i]][free[k]]} - m[free[i]][last] - m[last][free[k]] + m[last][last];
+    }
+    a[i][size] = double{m[last][last]} - m[free[i]][last];
+  }
+  for (size_t i = 0; i < size; ++i) {
+    if (!(a[i][i] > 0)) continue;
+    for (size_t row = i + 1; row < size; ++row) {
+      const double factor = a[row][i] / a[i][i];
+      for (size_t k = i; k <= size; ++k) a[row][k] -= factor * a[i][k];
+    }
+  }
+  double sum = 0;
+  for (size_t i = size; i-- > 0;) {
+    double value = a[i][size];
+    for (size_t k = i + 1; k < size; ++k) value -= a[i][k] * (*weights)[free[k]];
+    value = a[i][i] > 0 ? value / a[i][i] : 0;
+    (*weights)[free[i]] = static_cast<float>(value);
+    sum += value;
+  }
+  (*weights)[last] = static_cast<float>(1 - sum);
+  size_t worst = free[0];
+  for (size_t i = 0; i < num_free; ++i) {
+    if (!((*weights)[free[i]] >= (*weights)[worst])) worst = free[i];
+  }
+  if ((*weights)[worst] >= 0) return true;
+  (*is_free)[worst] = false;
+  return false;
+}
+
+// Adds the pull toward equal weights to `m` and minimises over the simplex.
+Weights Minimise(Matrix m, size_t n, float pull) {
+  const float offset = pull / static_cast<float>(n);
+  for (size_t j = 0; j < n; ++j) {
+    for (size_t k = 0; k < n; ++k) m[j][k] += (j == k ? pull : 0.0f) - offset;
+  }
+  std::array<bool, kNumCandidatesMax> is_free = {};
+  std::fill_n(is_free.begin(), n, true);
+  Weights weights = {};
+  for (size_t round = 0; round < n; ++round) {
+    if (SolveFree(m, n, &is_free, &weights)) break;
+  }
+  return weights;
+}
+
+// The blend's weights of a pixel; all zero where the raw mean stays.
+Weights ChooseWeights(const std::vector<Plane>& pooled, float difference, float variance,
+                      float share_a, size_t n, size_t i) {
+  Matrix m = {};
+  for (size_t j = 0, at = 0; j < n; ++j) {
+    for (size_t k = 0; k <= j; ++k, ++at) m[j][k] = m[k][j] = pooled[at][i];
+  }
+  constexpr float kPull = 1.0f / static_cast<float>(2 * kRiskRadiusPx + 1);
+  Weights weights = Minimise(m, n, kPull * variance);
+  float risk = 0;
+  for (size_t j = 0; j < n; ++j) {
+    for (size_t k = 0; k < n; ++k) risk += weights[j] * weights[k] * m[j][k];
+  }
+  const float share_b = 1.0f - share_a;
+  risk -= difference * (share_a / share_b + share_b / share_a);
+  // False for NaN.
+  if (!(risk <= difference)) weights = {};
+  return weights;
+}
+
+}  // namespace
+
+BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
+                           std::span<const PassOutput> candidates, const PixelRect& window) {
+  const size_t n = candidates.size();
+  TESSERA_CHECK(n >= 1 && n <= kNumCandidatesMax);
+  Terms terms(window.Expand(kRiskRadiusPx).Intersect(frame), n);
+  for (int y = terms.bounds.y_begin; y < terms.bounds.y_end; ++y) {
+    for (int x = terms.bounds.x_begin; x < terms.bounds.x_end; ++x) {
+      SetTerms(input, candidates, x, y, &terms);
+    }
+  }
+  std::vector<Plane> pooled;
+  for (const Plane& plane : terms.products) {
+    pooled.push_back(BoxSum(plane, terms.bounds, kRiskRadiusPx, window));
+  }
+  const Plane difference = BoxSum(terms.difference, terms.bounds, kRiskRadiusPx, window);
+  const Plane variance = BoxSum(terms.variance, terms.bounds, kRiskRadiusPx, window);
+  BlendedPicture out;
+  out.bounds = window;
+  for (Planes3* planes : {&out.color, &out.risk, &out.noise, &out.difference}) {
+    for (Plane& plane : *planes) plane.resize(difference.size());
+  }
+  size_t i = 0;
+  for (int y = window.y_begin; y < window.y_end; ++y) {
+    for (int x = window.x_begin; x < window.x_end; ++x, ++i) {
+      const size_t p = At(input.bounds, x, y);
+      if (input.known[p] == 0) continue;
+      const float share_a = input.share_a[p];
+      const float share_b = 1.0f - share_a;
+      const Weights weights = ChooseWeights(pooled, difference[i], variance[i], share_a, n, i);
+      const bool is_raw = weights == Weights{};
+      for (size_t c = 0; c < 3; ++c) {
+        const float a = input.color[0][c][p];
+        const float b = input.color[1][c][p];
+        float filtered_a = is_raw ? a : 0.0f;
+        float filtered_b = is_raw ? b : 0.0f;
+        for (size_t j = 0; j < n && !is_raw; ++j) {
+          const size_t at = At(candidates[j].bounds, x, y);
+          filtered_a += weights[j] * candidates[j].color[0][c][at];
+          filtered_b += weights[j] * candidates[j].color[1][c][at];
+        }
+        const float shares = share_a * share_b;
+        const float raw = shares * ((a - b) * (a - b));
+        out.color[c][i] = share_a * filtered_a + share_b * filtered_b;
+        out.noise[c][i] = shares * ((filtered_a - filtered_b) * (filtered_a - filtered_b));
+        out.difference[c][i] = raw;
+        out.risk[c][i] = is_raw ? raw
+                                : share_a * ((b - filtered_a) * (b - filtered_a)) +
+                                      share_b * ((a - filtered_b) * (a - filtered_b)) -
+                                      raw * (share_a / share_b + share_b / share_a) -
+                                      out.noise[c][i];
+      }
+    }
+  }
+  return out;
+}
+
+}  // namespace tessera

@@ -1,0 +1,37 @@
+// Blends several filtered pictures, pixel by pixel, by the error that the halves of the samples
+// estimate for every blend.
+#pragma once
+
+#include <span>
+
+#include "core/denoise/regression_input.h"
+#include "core/denoise/regression_pass.h"
+
+namespace tessera {
+
+// Errors are pooled over (2 r + 1)^2 pixels.
+inline constexpr int kRiskRadiusPx = 4;
+inline constexpr int kNumCandidatesMax = 4;
+
+// What is known of the picture that the filter returns, row-major over `bounds`.
+struct BlendedPicture {
+  PixelRect bounds;
+  Planes3 color;
+  Planes3 risk;        // squared error of each channel: unbiased but for the dependence of weights
+                       // on both halves, not pooled, may be negative
+  Planes3 noise;       // the part of it that the two halves differ by, not pooled
+  Planes3 difference;  // the halves' own squared difference as a variance of the raw mean
+};
+
+// Blends `candidates` (each at least over `window` expanded by kRiskRadiusPx and cut at `frame`)
+// over `window`. The weights of a pixel's blend are not negative, add up to 1 and minimise
+//   sum_jk l_j l_k M_jk + V / sqrt(n) sum_j (l_j - 1 / num_candidates)^2,
+// where M_jk pools over the n pixels around it the dual-buffer estimate of the covariance of the
+// errors of candidates j and k, and V is the raw mean's variance, pooled alike: 1 / sqrt(n) is the
+// standard error of the pooled estimate in units of V, so that the data speak where they are
+// louder than their noise. Where the blend's risk is above the raw mean's variance, the raw mean
+// stays.
+BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
+                           std::span<const PassOutput> candidates, const PixelRect& window);
+
+}  // namespace tessera

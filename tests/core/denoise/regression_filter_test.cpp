@@ -1,0 +1,111 @@
+// The default filter on a frame whose truth is known.
+#include "core/denoise/regression_filter.h"
+
+#include <cmath>
+#include <utility>
+
+#include "core/denoise/bilateral_filter.h"
+#include "core/denoise/denoise_frame.h"
+#include "gtest/gtest.h"
+#include "tests/core/denoise/synthetic_frame.h"
+
+namespace tessera {
+namespace {
+
+constexpr PixelRect kBounds{0, 0, 64, 64};
+
+FilteredPlanes Filtered(const SyntheticFrame& frame,
+                        DenoiseQuality quality = DenoiseQuality::kFinal) {
+  return DenoiseFrame(RegressionFilter(), frame.planes, quality, 2);
+}
+
+TEST(RegressionFilter, LowersTheErrorAtEveryNoiseLevel) {
+  for (const float noise : {1.0f, 0.3f, 0.1f, 0.03f, 0.01f}) {
+    const SyntheticFrame frame = MakeSyntheticFrame(kBounds, noise, 16, 7);
+    const double raw = RelativeError(frame.planes.color, frame.truth);
+    const double error = RelativeError(Filtered(frame).color, frame.truth);
+    EXPECT_LT(error, 0.15 * raw) << noise;
+    const FilteredPlanes bilateral =
+        DenoiseFrame(BilateralFilter(), frame.planes, DenoiseQuality::kFinal, 2);
+    // Where noise drowns everything, wide averages do better than fits.
+    const double margin = noise > 0.5f ? 1.5 : 1.0;
+    EXPECT_LT(error, margin * RelativeError(bilateral.color, frame.truth)) << noise;
+    EXPECT_LT(RelativeError(Filtered(frame, DenoiseQuality::kPreview).color, frame.truth),
+              0.3 * raw)
+        << noise;
+  }
+}
+
+// The halo is wider than the frames of EveryFilter's test: here windows have other frame beyond it.
+TEST(RegressionFilter, BitsDoNotDependOnWindowsFarFromTheBorder) {
+  const PixelRect bounds{-7, 5, 190, 161};
+  const SyntheticFrame frame = MakeSyntheticFrame(bounds, 0.2f, 16, 3);
+  for (const DenoiseQuality quality : {DenoiseQuality::kFinal, DenoiseQuality::kPreview}) {
+    const FilteredPlanes whole = DenoiseFrame(RegressionFilter(), frame.planes, quality, 2);
+    for (const PixelRect& window : {PixelRect{90, 80, 91, 81}, PixelRect{70, 70, 103, 87}}) {
+      FilteredPlanes part(window);
+      RegressionFilter().Filter(frame.planes, {bounds, quality}, window, &part);
+      for (int y = window.y_begin; y < window.y_end; ++y) {
+        for (int x = window.x_begin; x < window.x_end; ++x) {
+          const auto i = static_cast<size_t>(window.IndexOf(x, y));
+          const auto k = static_cast<size_t>(bounds.IndexOf(x, y));
+          EXPECT_EQ(part.color[1][i], whole.color[1][k]);
+          EXPECT_EQ(part.error[1][i], whole.error[1][k]);
+        }
+      }
+    }
+  }
+}
+
+TEST(RegressionFilter, ConvergesToTheRawMean) {
+  for (const float noise : {1e-3f, 1e-4f}) {
+    const SyntheticFrame frame = MakeSyntheticFrame(kBounds, noise, 1024, 8);
+    EXPECT_LT(RelativeError(Filtered(frame).color, frame.planes.color), 2.0 * noise * noise)
+        << noise;
+  }
+}
+
+TEST(RegressionFilter, KeepsTheEnergy) {
+  // Stated bounds: 2 % where the noise is as large as the signal, 0.3 % where it is a tenth.
+  for (const auto& [noise, bound] : {std::pair{1.0f, 0.02}, {0.1f, 0.003}}) {
+    double truth = 0, filtered = 0;
+    for (uint32_t seed = 0; seed < 6; ++seed) {
+      const SyntheticFrame frame = MakeSyntheticFrame(kBounds, noise, 8, seed);
+      truth += Sum(frame.truth);
+      filtered += Sum(Filtered(frame).color);
+    }
+    EXPECT_NEAR(filtered / truth, 1, bound) << noise;
+  }
+}
+
+TEST(RegressionFilter, IntervalsHoldTheTruthMostly) {
+  int num_inside = 0, num_values = 0;
+  for (const float noise : {0.3f, 0.1f, 0.03f}) {
+    const SyntheticFrame frame = MakeSyntheticFrame(kBounds, noise, 16, 11);
+    const FilteredPlanes out = Filtered(frame);
+    for (size_t c = 0; c < 3; ++c) {
+      for (size_t i = 0; i < out.color[c].size(); ++i, ++num_values) {
+        num_inside += std::abs(out.color[c][i] - frame.truth[c][i]) <= out.error[c][i];
+      }
+    }
+  }
+  // An estimate from few pixels: the docstring promises no 95 %.
+  EXPECT_GT(num_inside, 0.85 * num_values);
+}
+
+TEST(RegressionFilter, AnOutlierDoesNotSpreadFar) {
+  SyntheticFrame frame = MakeSyntheticFrame(kBounds, 0.1f, 16, 13);
+  const FilteredPlanes before = Filtered(frame);
+  const auto outlier = static_cast<size_t>(kBounds.IndexOf(40, 40));
+  for (size_t c = 0; c < 3; ++c) {
+    frame.planes.color_half[0][c][outlier] += 1e4f;
+    frame.planes.color[c][outlier] += 0.5e4f;
+    frame.planes.sample_variance_of_mean[c][outlier] += 0.25e8f;
+  }
+  CalibrateVariance(kBounds, &frame.planes);
+  const FilteredPlanes after = Filtered(frame);
+  EXPECT_LE(Sum(after.color) - Sum(before.color), 3 * 0.5e4 * 1.01);
+}
+
+}  // namespace
+}  // namespace tessera

@@ -1,0 +1,90 @@
+#include "core/denoise/regression_pass.h"
+
+#include <cstring>
+
+#include "gtest/gtest.h"
+#include "tests/core/denoise/synthetic_frame.h"
+
+namespace tessera {
+namespace {
+
+constexpr PixelRect kFrame{0, 0, 70, 60};
+constexpr int kRadius = 7;
+
+class RegressionPass : public ::testing::Test {
+ protected:
+  RegressionPass()
+      : frame_(MakeSyntheticFrame(kFrame, 0.3f, 16, 5)),
+        input_(kFrame.Expand(PassReachPx(kRadius) + kPrefilterRadiusPx), kFrame, frame_.planes),
+        features_(PrefilterFeatures(input_, kFrame.Expand(PassReachPx(kRadius)))) {}
+
+  PassSettings Settings(const PixelRect& bounds, int step) const {
+    return {kFrame, bounds, kRadius, step};
+  }
+  // The truth as a guide: the best there is.
+  Pilot TruthPilot() const {
+    Pilot pilot;
+    pilot.bounds = kFrame.Expand(PassReachPx(kRadius) + 1);
+    for (size_t c = 0; c < 3; ++c) {
+      pilot.color[c].resize(SlackArea(pilot.bounds));
+      pilot.variance[c].assign(SlackArea(pilot.bounds), 1e-3f);
+      for (int y = 0; y < kFrame.y_end; ++y) {
+        for (int x = 0; x < kFrame.x_end; ++x) {
+          pilot.color[c][static_cast<size_t>(pilot.bounds.IndexOf(x, y))] =
+              frame_.truth[c][static_cast<size_t>(kFrame.IndexOf(x, y))];
+        }
+      }
+    }
+    return pilot;
+  }
+  double Error(const PassOutput& out) const {
+    Planes3 mean = out.color[0];
+    for (size_t c = 0; c < 3; ++c) {
+      mean[c].resize(static_cast<size_t>(kFrame.area()));
+      for (size_t i = 0; i < mean[c].size(); ++i) {
+        mean[c][i] = 0.5f * (out.color[0][c][i] + out.color[1][c][i]);
+      }
+    }
+    return RelativeError(mean, frame_.truth);
+  }
+
+  const SyntheticFrame frame_;
+  const RegressionInput input_;
+  const SmoothFeatures features_;
+};
+
+TEST_F(RegressionPass, LowersTheError) {
+  const double raw = RelativeError(frame_.planes.color, frame_.truth);
+  EXPECT_LT(Error(RunCrossPass(input_, features_, Settings(kFrame, 4))), 0.25 * raw);
+  EXPECT_LT(Error(RunPilotPass(input_, features_, TruthPilot(), 1, Settings(kFrame, 4))),
+            0.1 * raw);
+}
+
+TEST_F(RegressionPass, ACoarserLatticeCostsLittle) {
+  const double fine = Error(RunCrossPass(input_, features_, Settings(kFrame, 1)));
+  EXPECT_LT(Error(RunCrossPass(input_, features_, Settings(kFrame, 4))), 1.15 * fine);
+}
+
+TEST_F(RegressionPass, BitsDoNotDependOnTheWindow) {
+  const PassOutput whole = RunCrossPass(input_, features_, Settings(kFrame, 4));
+  const Pilot pilot = TruthPilot();
+  const PassOutput whole_pilot = RunPilotPass(input_, features_, pilot, 0, Settings(kFrame, 4));
+  for (const PixelRect& window : {PixelRect{31, 22, 32, 23}, PixelRect{5, 40, 26, 60}}) {
+    const PassOutput part = RunCrossPass(input_, features_, Settings(window, 4));
+    const PassOutput part_pilot =
+        RunPilotPass(input_, features_, pilot, 0, Settings(window, 4));
+    for (int y = window.y_begin; y < window.y_end; ++y) {
+      for (int x = window.x_begin; x < window.x_end; ++x) {
+        const auto i = static_cast<size_t>(window.IndexOf(x, y));
+        const auto k = static_cast<size_t>(kFrame.IndexOf(x, y));
+        for (size_t half = 0; half < kNumHalves; ++half) {
+          EXPECT_EQ(part.color[half][1][i], whole.color[half][1][k]);
+          EXPECT_EQ(part_pilot.color[half][1][i], whole_pilot.color[half][1][k]);
+        }
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace tessera

@@ -1,0 +1,91 @@
+// Blends of candidates whose errors are known.
+#include "core/denoise/risk_blend.h"
+
+#include <random>
+
+#include "gtest/gtest.h"
+#include "tests/core/denoise/synthetic_frame.h"
+
+namespace tessera {
+namespace {
+
+constexpr PixelRect kFrame{0, 0, 64, 64};
+
+class RiskBlend : public ::testing::Test {
+ protected:
+  RiskBlend()
+      : frame_(MakeSyntheticFrame(kFrame, 0.3f, 16, 9)), input_(kFrame, kFrame, frame_.planes) {}
+
+  // The truth plus an offset, plus noise that the halves do not share.
+  PassOutput Candidate(float offset, float noise, uint32_t seed) const {
+    std::mt19937 random(seed);
+    std::normal_distribution<float> normal;
+    PassOutput out;
+    out.bounds = kFrame;
+    for (Planes3& half : out.color) {
+      for (size_t c = 0; c < 3; ++c) {
+        half[c] = frame_.truth[c];
+        for (float& value : half[c]) value *= 1.0f + offset + noise * normal(random);
+        half[c].resize(SlackArea(kFrame));
+      }
+    }
+    return out;
+  }
+  double Error(const BlendedPicture& blend) const {
+    return RelativeError(blend.color, frame_.truth);
+  }
+
+  const SyntheticFrame frame_;
+  const RegressionInput input_;
+};
+
+TEST_F(RiskBlend, PrefersTheBetter) {
+  const PassOutput candidates[] = {Candidate(0.0f, 0.02f, 1), Candidate(0.6f, 0.0f, 2)};
+  const double error = Error(BlendByRisk(input_, kFrame, candidates, kFrame));
+  EXPECT_LT(error, 0.02 * RelativeError(Candidate(0.6f, 0.0f, 2).color[0], frame_.truth));
+}
+
+TEST_F(RiskBlend, AveragesWhatIsEquallyGood) {
+  const PassOutput candidates[] = {Candidate(0.0f, 0.1f, 1), Candidate(0.0f, 0.1f, 2),
+                                   Candidate(0.0f, 0.1f, 3)};
+  const double one = Error(BlendByRisk(input_, kFrame, {candidates, 1}, kFrame));
+  const double three = Error(BlendByRisk(input_, kFrame, candidates, kFrame));
+  EXPECT_LT(three, 0.45 * one);
+}
+
+TEST_F(RiskBlend, OppositeErrorsCancel) {
+  const PassOutput candidates[] = {Candidate(0.5f, 0.0f, 1), Candidate(-0.5f, 0.0f, 2)};
+  const double one = RelativeError(candidates[0].color[0], frame_.truth);
+  EXPECT_LT(Error(BlendByRisk(input_, kFrame, candidates, kFrame)), 0.05 * one);
+}
+
+TEST_F(RiskBlend, TheRawMeanStaysWhereNothingIsBetter) {
+  const PassOutput candidates[] = {Candidate(2.0f, 0.0f, 1), Candidate(3.0f, 0.1f, 2)};
+  const BlendedPicture blend = BlendByRisk(input_, kFrame, candidates, kFrame);
+  for (size_t i = 0; i < blend.color[0].size(); ++i) {
+    EXPECT_NEAR(blend.color[0][i], frame_.planes.color[0][i], 1e-6f);
+  }
+}
+
+// Over all pixels the estimate equals the true squared error, for candidates that do not depend on
+// the data: 4096 pixels, tolerance three standard errors of the noise in it.
+TEST_F(RiskBlend, RiskIsUnbiasedForIndependentCandidates) {
+  const PassOutput candidates[] = {Candidate(0.1f, 0.1f, 4)};
+  double risk = 0, truth = 0, square = 0;
+  const BlendedPicture blend = BlendByRisk(input_, kFrame, candidates, kFrame);
+  for (size_t c = 0; c < 3; ++c) {
+    for (size_t i = 0; i < blend.color[c].size(); ++i) {
+      const double scale = 1 / (double{frame_.truth[c][i]} * frame_.truth[c][i] + 0.01);
+      const double error = double{blend.color[c][i]} - frame_.truth[c][i];
+      const double difference = scale * (blend.risk[c][i] - error * error);
+      risk += scale * blend.risk[c][i];
+      truth += scale * error * error;
+      square += difference * difference;
+    }
+  }
+  EXPECT_NEAR(risk, truth, 3 * std::sqrt(square));
+  EXPECT_LT(3 * std::sqrt(square), 0.5 * truth);
+}
+
+}  // namespace
+}  // namespace tessera
