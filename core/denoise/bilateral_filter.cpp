@@ -75,6 +75,13 @@ Joined JoinHalves(const FramePlanes& planes, const KernelOutput& kernel) {
   return joined;
 }
 
+// Adds one channel's squared error, and the part of it that is noise, to pixel `i` of `out`.
+void AddRelative(float squared_error, float noise, float value, int64_t i, FilteredPlanes* out) {
+  const float scale = 1.0f / (value * value + kRelMseEpsilon);
+  out->relative_error[i] += squared_error * scale;
+  out->relative_noise[i] += noise * scale;
+}
+
 // The sums of `plane` (over `bounds`) over the pixels within kPoolingRadiusPx of each pixel of
 // `window`, cut at `bounds`; in an order that does not depend on the window.
 Plane PoolSums(const Plane& plane, const PixelRect& bounds, const PixelRect& window) {
@@ -126,15 +133,19 @@ void BilateralFilter::Filter(const FramePlanes& planes, const FrameParameters& p
       const bool is_known = planes.samples[p] >= 2;
       // The raw mean's relative risk is 1 for each of the three channels. False for NaN.
       const bool is_better = is_known && relative_risk[w] < 3.0f * num_known[w];
+      out->relative_error[to] = 0;
+      out->relative_noise[to] = 0;
       for (int c = 0; c < 3; ++c) {
         const float variance = planes.variance[c][p];
         if (is_better) {
           const float left = variance * joined.variance_factor[i];
           out->color[c][to] = joined.color[c][i];
           out->error[c][to] = HalfWidth95(std::max(left, risk[c][w] / num_known[w]));
+          AddRelative(joined.risk[c][i], left, out->color[c][to], to, out);
         } else {
           out->color[c][to] = planes.color[c][p];
           out->error[c][to] = is_known ? HalfWidth95(variance) : kInfinity;
+          AddRelative(is_known ? variance : kInfinity, 0, out->color[c][to], to, out);
         }
       }
     }

@@ -3,6 +3,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/denoise/bilateral_filter.h"
+#include "core/denoise/confidence.h"
 #include "core/denoise/geometric_filter.h"
 #include "core/denoise/none_filter.h"
 #include "core/denoise/regression_filter.h"
@@ -13,6 +14,23 @@ FilteredPlanes::FilteredPlanes(const PixelRect& rect) : bounds(rect) {
   for (int c = 0; c < 3; ++c) {
     color[c].resize(rect.area());
     error[c].resize(rect.area());
+  }
+  relative_error.resize(rect.area());
+  relative_noise.resize(rect.area());
+}
+
+void SetRelativeError(const PixelRect& window, FilteredPlanes* out) {
+  for (int y = window.y_begin; y < window.y_end; ++y) {
+    auto i = static_cast<size_t>(out->bounds.IndexOf(window.x_begin, y));
+    for (int x = window.x_begin; x < window.x_end; ++x, ++i) {
+      out->relative_error[i] = 0;
+      out->relative_noise[i] = 0;
+      for (size_t c = 0; c < 3; ++c) {
+        const float sigma = out->error[c][i] / kNormalQuantile975;
+        const float value = out->color[c][i];
+        out->relative_error[i] += sigma * sigma / (value * value + kRelMseEpsilon);
+      }
+    }
   }
 }
 

@@ -28,7 +28,20 @@ struct FilteredPlanes {
   PixelRect bounds;
   Planes3 color;
   Planes3 error;  // half-width of the 95 % interval of `color`; +inf where unknown
+  // The squared error relative to the squared value + kRelMseEpsilon, summed over channels (relMSE
+  // times 3), to be summed over many pixels: right on average as far as the filter can tell, so not
+  // clamped and possibly negative. +inf where unknown.
+  Plane relative_error;
+  // A part of it that is noise for certain, >= 0: what a sum may not fall below.
+  Plane relative_noise;
 };
+
+// The floor of relative errors (DESIGN, relMSE).
+inline constexpr float kRelMseEpsilon = 0.01f;
+
+// Fills relative_error over `window` from color and error, and sets relative_noise to 0: for
+// filters whose intervals are all they know.
+void SetRelativeError(const PixelRect& window, FilteredPlanes* out);
 
 class Denoiser {
  public:

@@ -87,6 +87,7 @@ void GeometricFilter::Filter(const FramePlanes& planes, const FrameParameters& p
       }
     }
   }
+  SetRelativeError(window, out);
 }
 
 }  // namespace tessera

@@ -17,6 +17,7 @@ void NoneFilter::Filter(const FramePlanes& planes, const FrameParameters& /*para
       }
     }
   }
+  SetRelativeError(window, out);
 }
 
 }  // namespace tessera

@@ -6,6 +6,7 @@
 #include "core/denoise/box_sum.h"
 #include "core/denoise/confidence.h"
 #include "core/denoise/feature_prefilter.h"
+#include "core/denoise/noise_probe.h"
 #include "core/denoise/regression_input.h"
 #include "core/denoise/regression_pass.h"
 #include "core/denoise/risk_blend.h"
@@ -35,6 +36,8 @@ constexpr int kPilotReachPx = kRiskRadiusPx + kFinalReachPx + kPilotPatchRadiusP
 constexpr int kCrossReachPx = kPilotReachPx + kPilotVarianceRadiusPx;
 constexpr int kFeatureReachPx = kCrossReachPx + kFinalReachPx;
 constexpr int kInputReachPx = kFeatureReachPx + std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx);
+constexpr int kPreviewInputReachPx = kRiskRadiusPx + PassReachPx(kWindowRadiusPreviewPx) +
+                                     std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx);
 constexpr int kHaloPx = kRiskRadiusPx + kInputReachPx + kVarianceRadiusPx;
 
 // The pilot over `bounds`, from the first pass `kPilotVarianceRadiusPx` further.
@@ -79,19 +82,17 @@ Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const Pix
   return pilot;
 }
 
-std::vector<PassOutput> RunPasses(const RegressionInput& input, const PixelRect& frame,
-                                  const PixelRect& bounds, DenoiseQuality quality) {
+std::vector<PassOutput> RunPasses(const RegressionInput& input, const SmoothFeatures& features,
+                                  const PixelRect& frame, const PixelRect& bounds,
+                                  DenoiseQuality quality) {
   std::vector<PassOutput> candidates;
   if (quality == DenoiseQuality::kPreview) {
-    const SmoothFeatures features =
-        PrefilterFeatures(input, bounds.Expand(PassReachPx(kWindowRadiusPreviewPx)));
     candidates.push_back(RunCrossPass(
         input, features, {frame, bounds, kWindowRadiusPreviewPx, kLatticeStepPx}));
     return candidates;
   }
   const PixelRect pilot_bounds = bounds.Expand(kFinalReachPx + kPilotPatchRadiusPx);
   const PixelRect cross_bounds = pilot_bounds.Expand(kPilotVarianceRadiusPx);
-  const SmoothFeatures features = PrefilterFeatures(input, cross_bounds.Expand(kFinalReachPx));
   candidates.push_back(
       RunCrossPass(input, features, {frame, cross_bounds, kWindowRadiusFinalPx, kLatticeStepPx}));
   for (const PilotPassSettings& pass : kPilotPasses) {
@@ -102,45 +103,108 @@ std::vector<PassOutput> RunPasses(const RegressionInput& input, const PixelRect&
   return candidates;
 }
 
+// The picture over `pooled` and what is known of its error there.
+struct Filtered {
+  BlendedPicture picture;
+  // Squared error of each channel, right on average, not pooled.
+  Planes3 risk;
+};
+
+// At final quality the estimate of the error has no bias but what features share with the noise; a
+// preview does without the second run that it takes.
+Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
+                        const PixelRect& pooled, DenoiseQuality quality) {
+  const PixelRect bounds = pooled.Expand(kRiskRadiusPx);
+  const PixelRect inside = pooled.Intersect(frame);
+  const SmoothFeatures features = PrefilterFeatures(
+      input, bounds.Expand(quality == DenoiseQuality::kPreview ? PassReachPx(kWindowRadiusPreviewPx)
+                                                               : kFeatureReachPx - kRiskRadiusPx));
+  const auto run = [&](const RegressionInput& data) {
+    return BlendByRisk(data, frame, RunPasses(data, features, frame, bounds, quality), inside);
+  };
+  Filtered filtered;
+  filtered.picture = run(input);
+  filtered.risk = filtered.picture.dual_risk;
+  if (quality == DenoiseQuality::kPreview) return filtered;
+  const RegressionInput probed = ProbedInput(input);
+  const Planes3 covariance = NoiseCovariance(input, probed, filtered.picture, run(probed));
+  for (size_t c = 0; c < 3; ++c) {
+    for (size_t i = 0; i < filtered.risk[c].size(); ++i) {
+      filtered.risk[c][i] = filtered.picture.residual[c][i] + 2.0f * covariance[c][i];
+    }
+  }
+  return filtered;
+}
+
+// The sums of a filtered picture's errors around each pixel of a window.
+struct PooledErrors {
+  PooledErrors(const Filtered& filtered, const PixelRect& window) {
+    const PixelRect& bounds = filtered.picture.bounds;
+    const Plane ones(static_cast<size_t>(bounds.area()), 1.0f);
+    count = BoxSum(ones, bounds, kRiskRadiusPx, window);
+    near_count = BoxSum(ones, bounds, kNearRadiusPx, window);
+    for (size_t c = 0; c < 3; ++c) {
+      risk[c] = BoxSum(filtered.risk[c], bounds, kRiskRadiusPx, window);
+      noise[c] = BoxSum(filtered.picture.noise[c], bounds, kRiskRadiusPx, window);
+      near_risk[c] = BoxSum(filtered.risk[c], bounds, kNearRadiusPx, window);
+    }
+  }
+  // Of the immediate neighbours, which tell whether a pixel may be much brighter than it looks.
+  static constexpr int kNearRadiusPx = 1;
+  Plane count, near_count;
+  Planes3 risk, noise, near_risk;
+};
+
+// Writes a filtered pixel: `i` in the filtered planes, `w` in the pooled ones, `to` in `out`.
+void WritePixel(const Filtered& filtered, const PooledErrors& pooled, size_t i, size_t w, size_t to,
+                FilteredPlanes* out) {
+  for (size_t c = 0; c < 3; ++c) {
+    const float value = std::max(filtered.picture.color[c][i], 0.0f);
+    out->color[c][to] = value;
+    out->error[c][to] =
+        HalfWidth95(std::max(pooled.risk[c][w], pooled.noise[c][w]) / pooled.count[w]);
+    // The true value's square is the filtered value's and the squared error on average.
+    const float square =
+        value * value + std::max(pooled.near_risk[c][w] / pooled.near_count[w], 0.0f);
+    const float scale = 1.0f / (square + kRelMseEpsilon);
+    out->relative_error[to] += filtered.risk[c][i] * scale;
+    out->relative_noise[to] += filtered.picture.noise[c][i] * scale;
+  }
+}
+
 }  // namespace
 
 int RegressionFilter::halo_px() const { return kHaloPx; }
 
 void RegressionFilter::Filter(const FramePlanes& planes, const FrameParameters& parameters,
                               const PixelRect& window, FilteredPlanes* out) const {
-  const PixelRect& frame = parameters.frame;
   const PixelRect pooled = window.Expand(kRiskRadiusPx);
   const bool is_preview = parameters.quality == DenoiseQuality::kPreview;
-  const int reach = is_preview ? kRiskRadiusPx + PassReachPx(kWindowRadiusPreviewPx) +
-                                     std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx)
-                               : kInputReachPx;
-  const RegressionInput input(pooled.Expand(reach), frame, planes);
-  const PixelRect bounds = pooled.Expand(kRiskRadiusPx);
-  const std::vector<PassOutput> candidates = RunPasses(input, frame, bounds, parameters.quality);
-  const PixelRect inside = pooled.Intersect(frame);
-  const BlendedPicture blend = BlendByRisk(input, frame, candidates, inside);
-  const Plane count = BoxSum(Plane(static_cast<size_t>(inside.area()), 1.0f), inside,
-                             kRiskRadiusPx, window);
-  for (size_t c = 0; c < 3; ++c) {
-    const Plane risk = BoxSum(blend.risk[c], inside, kRiskRadiusPx, window);
-    const Plane noise = BoxSum(blend.noise[c], inside, kRiskRadiusPx, window);
-    size_t w = 0;
-    for (int y = window.y_begin; y < window.y_end; ++y) {
-      for (int x = window.x_begin; x < window.x_end; ++x, ++w) {
-        const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
-        const auto to = static_cast<size_t>(out->bounds.IndexOf(x, y));
-        const auto i = static_cast<size_t>(inside.IndexOf(x, y));
-        if (planes.samples[p] < 2) {
-          out->color[c][to] = planes.color[c][p];
-          out->error[c][to] = kInfinity;
-        } else if (!(planes.color[c][p] < kRegressionValueMax)) {
-          out->color[c][to] = planes.color[c][p];
-          out->error[c][to] = HalfWidth95(planes.variance[c][p]);
-        } else {
-          out->color[c][to] = std::max(blend.color[c][i], 0.0f);
-          out->error[c][to] = HalfWidth95(std::max(risk[w], noise[w]) / count[w]);
-        }
+  const RegressionInput input(pooled.Expand(is_preview ? kPreviewInputReachPx : kInputReachPx),
+                              parameters.frame, planes);
+  const Filtered filtered =
+      FilterAndJudge(input, parameters.frame, pooled, parameters.quality);
+  const PooledErrors errors(filtered, window);
+  size_t w = 0;
+  for (int y = window.y_begin; y < window.y_end; ++y) {
+    for (int x = window.x_begin; x < window.x_end; ++x, ++w) {
+      const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
+      const auto to = static_cast<size_t>(out->bounds.IndexOf(x, y));
+      const auto i = static_cast<size_t>(filtered.picture.bounds.IndexOf(x, y));
+      const bool is_known = planes.samples[p] >= 2;
+      bool is_huge = false;
+      for (size_t c = 0; c < 3; ++c) is_huge |= !(planes.color[c][p] < kRegressionValueMax);
+      out->relative_error[to] = 0;
+      out->relative_noise[to] = 0;
+      if (is_known && !is_huge) {
+        WritePixel(filtered, errors, i, w, to, out);
+        continue;
       }
+      for (size_t c = 0; c < 3; ++c) {
+        out->color[c][to] = planes.color[c][p];
+        out->error[c][to] = is_known ? HalfWidth95(planes.variance[c][p]) : kInfinity;
+      }
+      SetRelativeError(PixelRect::FromSize(x, y, 1, 1), out);
     }
   }
 }

@@ -12,8 +12,9 @@ namespace tessera {
 // single pixels; every pixel gets the blend of the three that has the least estimated error, or the
 // raw mean where none is better. Preview: the first pass alone, in smaller windows.
 //
-// Error: 1.96 times the root of the mean squared error as the halves estimate it (noise and bias),
-// pooled over 9x9 pixels, and at least of the noise by which the filtered halves differ.
+// Error: 1.96 times the root of the mean squared error, noise and bias, by Stein's estimate with a
+// random probe, pooled over 9x9 pixels, and at least of the noise by which the filtered halves
+// differ; a preview takes the dual buffers' estimate, which overlooks what weights take from both.
 // +inf where a pixel has fewer than two samples.
 //
 // Pixels with fewer than two samples keep their raw mean and lend nothing to others; pixels beyond

@@ -27,7 +27,9 @@ struct PassSettings {
 };
 
 // Pixels around the output that a pass reads, but for the patches of its weights.
-inline int PassReachPx(int window_radius_px) { return 2 * window_radius_px + kOnDemandReachPx; }
+inline constexpr int PassReachPx(int window_radius_px) {
+  return 2 * window_radius_px + kOnDemandReachPx;
+}
 
 // The first pass. Half A is fitted with weights from half B and the other way round, so that no
 // weight depends on the noise that it multiplies; patches are 3x3. Coefficients beyond the constant

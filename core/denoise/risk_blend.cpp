@@ -11,9 +11,6 @@
 namespace tessera {
 namespace {
 
-// The error measure's own floor (relMSE, DESIGN).
-constexpr float kRelMseEpsilon = 0.01f;
-
 using Matrix = std::array<std::array<float, kNumCandidatesMax>, kNumCandidatesMax>;
 using Weights = std::array<float, kNumCandidatesMax>;
 
@@ -177,7 +174,7 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
   const Plane variance = BoxSum(terms.variance, terms.bounds, kRiskRadiusPx, window);
   BlendedPicture out;
   out.bounds = window;
-  for (Planes3* planes : {&out.color, &out.risk, &out.noise, &out.difference}) {
+  for (Planes3* planes : {&out.color, &out.dual_risk, &out.residual, &out.noise}) {
     for (Plane& plane : *planes) plane.resize(difference.size());
   }
   size_t i = 0;
@@ -203,12 +200,13 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
         const float raw = shares * ((a - b) * (a - b));
         out.color[c][i] = share_a * filtered_a + share_b * filtered_b;
         out.noise[c][i] = shares * ((filtered_a - filtered_b) * (filtered_a - filtered_b));
-        out.difference[c][i] = raw;
-        out.risk[c][i] = is_raw ? raw
-                                : share_a * ((b - filtered_a) * (b - filtered_a)) +
-                                      share_b * ((a - filtered_b) * (a - filtered_b)) -
-                                      raw * (share_a / share_b + share_b / share_a) -
-                                      out.noise[c][i];
+        const float moved = out.color[c][i] - (share_a * a + share_b * b);
+        out.residual[c][i] = moved * moved - raw;
+        out.dual_risk[c][i] = is_raw ? raw
+                                     : share_a * ((b - filtered_a) * (b - filtered_a)) +
+                                           share_b * ((a - filtered_b) * (a - filtered_b)) -
+                                           raw * (share_a / share_b + share_b / share_a) -
+                                           out.noise[c][i];
       }
     }
   }

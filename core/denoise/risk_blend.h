@@ -17,10 +17,11 @@ inline constexpr int kNumCandidatesMax = 4;
 struct BlendedPicture {
   PixelRect bounds;
   Planes3 color;
-  Planes3 risk;        // squared error of each channel: unbiased but for the dependence of weights
-                       // on both halves, not pooled, may be negative
-  Planes3 noise;       // the part of it that the two halves differ by, not pooled
-  Planes3 difference;  // the halves' own squared difference as a variance of the raw mean
+  Planes3 dual_risk;   // squared error of each channel by the dual buffers: unbiased but for the
+                       // dependence of weights on both halves, not pooled, may be negative
+  Planes3 residual;    // (filtered - raw)^2 less the raw mean's variance by its halves: unbiased
+                       // once twice the covariance of filtered colour and raw noise is added
+  Planes3 noise;       // the part of the squared error that the filtered halves differ by
 };
 
 // Blends `candidates` (each at least over `window` expanded by kRiskRadiusPx and cut at `frame`)

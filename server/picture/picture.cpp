@@ -16,11 +16,8 @@
 namespace tessera {
 namespace {
 
-// The half-width of a 95 % interval is this many standard deviations.
-constexpr double kHalfWidthSigmas = 1.959964;
-constexpr double kRelMseEpsilon = 0.01;  // DESIGN.md, definitions
-constexpr double kLeastError = 1e-12;    // what stands for none, as 0 means unknown
-constexpr int kResolvedPartPx = 128;     // of a unit of work without a large halo
+constexpr double kLeastError = 1e-12;  // what stands for none, as 0 means unknown
+constexpr int kResolvedPartPx = 128;   // of a unit of work without a large halo
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
 uint64_t NextSerial() {
@@ -54,15 +51,18 @@ std::vector<PixelRect> Split(const std::vector<PixelRect>& windows, int size_px)
 // Copies all of `from`.
 void CopyPart(const FilteredPlanes& from, FilteredPlanes* to) {
   const PixelRect& window = from.bounds;
-  for (int channel = 0; channel < 3; ++channel) {
-    const auto c = static_cast<size_t>(channel);
+  const auto copy = [&](const Plane& source, Plane* target) {
     for (int y = window.y_begin; y < window.y_end; ++y) {
-      const int64_t source = from.bounds.IndexOf(window.x_begin, y);
-      const int64_t target = to->bounds.IndexOf(window.x_begin, y);
-      std::copy_n(from.color[c].begin() + source, window.width(), to->color[c].begin() + target);
-      std::copy_n(from.error[c].begin() + source, window.width(), to->error[c].begin() + target);
+      std::copy_n(source.begin() + from.bounds.IndexOf(window.x_begin, y), window.width(),
+                  target->begin() + to->bounds.IndexOf(window.x_begin, y));
     }
+  };
+  for (size_t c = 0; c < 3; ++c) {
+    copy(from.color[c], &to->color[c]);
+    copy(from.error[c], &to->error[c]);
   }
+  copy(from.relative_error, &to->relative_error);
+  copy(from.relative_noise, &to->relative_noise);
 }
 
 }  // namespace
@@ -100,7 +100,7 @@ Picture::Picture(const v1::JobSettings& settings)
       grid_(RegionOf(settings), settings.tile_size()),
       planes_(grid_.region()),
       filtered_(grid_.region()),
-      row_errors_(static_cast<size_t>(grid_.region().height()), kUnknown) {
+      row_errors_(static_cast<size_t>(grid_.region().height())) {
   absl::StatusOr<std::unique_ptr<Denoiser>> denoiser = MakeDenoiser(settings.denoiser());
   TESSERA_CHECK(denoiser.ok());
   denoiser_ = *std::move(denoiser);
@@ -111,6 +111,7 @@ Picture::Picture(const v1::JobSettings& settings)
     for (Plane& plane : *planes) std::ranges::fill(plane, kUnknown);
   }
   std::ranges::fill(planes_.depth_variance, kUnknown);
+  std::ranges::fill(filtered_.relative_error, kUnknown);
 }
 
 double Picture::Update(const std::vector<int64_t>& changed, const TileSource& source,
@@ -222,22 +223,23 @@ double Picture::SumErrors(const std::vector<PixelRect>& windows, int num_threads
   return ParallelFor(stale.size(), num_threads, [&](size_t row) {
     const auto begin = static_cast<size_t>(filtered_.bounds.IndexOf(region.x_begin, stale[row]));
     const size_t end = begin + static_cast<size_t>(region.width());
-    double sum = 0;
-    for (size_t c = 0; c < 3; ++c) {
-      for (size_t i = begin; i < end; ++i) {
-        const double sigma = double{filtered_.error[c][i]} / kHalfWidthSigmas;
-        const double value = filtered_.color[c][i];
-        sum += sigma * sigma / (value * value + kRelMseEpsilon);
-      }
+    RowError sum{.error = 0, .noise = 0};
+    for (size_t i = begin; i < end; ++i) {
+      sum.error += double{filtered_.relative_error[i]};
+      sum.noise += double{filtered_.relative_noise[i]};
     }
     row_errors_[static_cast<size_t>(stale[row] - region.y_begin)] = sum;
   });
 }
 
 double Picture::EstimateError() const {
-  double sum = 0;
-  for (const double row : row_errors_) sum += row;
-  const double error = std::sqrt(sum / (3.0 * static_cast<double>(grid_.region().area())));
+  RowError sum{.error = 0, .noise = 0};
+  for (const RowError& row : row_errors_) {
+    sum.error += row.error;
+    sum.noise += row.noise;
+  }
+  const double error = std::sqrt(std::max(sum.error, sum.noise) /
+                                 (3.0 * static_cast<double>(grid_.region().area())));
   return std::isfinite(error) ? std::max(error, kLeastError) : 0;
 }
 

@@ -7,6 +7,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <set>
 #include <shared_mutex>
@@ -93,7 +94,12 @@ class Picture {
   double estimated_error_ = 0;
 
   std::set<int64_t> rough_;         // tiles filtered at less than the job's quality; Update's own
-  std::vector<double> row_errors_;  // each row's sum of relative squared errors; Update's own
+  // Each row's sums of FilteredPlanes::relative_error and relative_noise; Update's own.
+  struct RowError {
+    double error = std::numeric_limits<double>::infinity();
+    double noise = 0;
+  };
+  std::vector<RowError> row_errors_;
 };
 
 // The rectangles that cover exactly the given tiles (ascending), touching tiles joined.

@@ -32,6 +32,8 @@ void ExpectSameBits(const FilteredPlanes& a, const FilteredPlanes& b) {
     EXPECT_TRUE(SameBits(a.color[c], b.color[c]));
     EXPECT_TRUE(SameBits(a.error[c], b.error[c]));
   }
+  EXPECT_TRUE(SameBits(a.relative_error, b.relative_error));
+  EXPECT_TRUE(SameBits(a.relative_noise, b.relative_noise));
 }
 
 FramePlanes Crop(const FramePlanes& planes, const PixelRect& bounds) {
@@ -160,6 +162,10 @@ TEST_P(EveryFilter, NothingBecomesNan) {
             num_bad += !(out.error[c][i] >= 0);
             if (samples < 2) num_bad += out.error[c][i] != kUnknown;
           }
+        }
+        for (size_t i = 0; i < out.relative_error.size(); ++i) {
+          num_bad += std::isnan(out.relative_error[i]) || !(out.relative_noise[i] >= 0);
+          if (samples < 2) num_bad += out.relative_error[i] != kUnknown;
         }
         EXPECT_EQ(num_bad, 0);
       }

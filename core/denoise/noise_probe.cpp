@@ -1,0 +1,70 @@
+#include "core/denoise/noise_probe.h"
+
+#include <cmath>
+#include <cstdint>
+
+#include "core/base/check.h"
+
+namespace tessera {
+namespace {
+
+// In standard deviations: small against the noise, that the filter's response is about linear, and
+// large against rounding. The estimate does not depend on it where the filter is differentiable.
+constexpr float kStep = 0.1f;
+
+// 1 or -1, for each pixel and half by itself. Finaliser of MurmurHash3 (Appleby 2011).
+float Sign(int x, int y, uint32_t half) {
+  uint32_t h = static_cast<uint32_t>(x) * 0x9e3779b1u ^ static_cast<uint32_t>(y) * 0x85ebca77u ^
+               half * 0xc2b2ae3du;
+  h ^= h >> 16;
+  h *= 0x85ebca6bu;
+  h ^= h >> 13;
+  h *= 0xc2b2ae35u;
+  h ^= h >> 16;
+  return (h & 1u) != 0 ? 1.0f : -1.0f;
+}
+
+}  // namespace
+
+RegressionInput ProbedInput(const RegressionInput& input) {
+  RegressionInput probed = input;
+  const PixelRect& bounds = input.bounds;
+  size_t i = 0;
+  for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+    for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++i) {
+      if (input.known[i] == 0) continue;
+      const float shares[] = {input.share_a[i], 1.0f - input.share_a[i]};
+      for (uint32_t half = 0; half < kNumHalves; ++half) {
+        const float step = kStep * Sign(x, y, half);
+        for (size_t c = 0; c < 3; ++c) {
+          probed.color[half][c][i] += step * std::sqrt(input.variance[c][i] / shares[half]);
+        }
+      }
+    }
+  }
+  return probed;
+}
+
+Planes3 NoiseCovariance(const RegressionInput& input, const RegressionInput& probed,
+                        const BlendedPicture& picture, const BlendedPicture& probed_picture) {
+  const PixelRect& bounds = picture.bounds;
+  TESSERA_CHECK(probed_picture.bounds == bounds && input.bounds.Contains(bounds));
+  Planes3 covariance;
+  for (size_t c = 0; c < 3; ++c) {
+    covariance[c].resize(static_cast<size_t>(bounds.area()));
+    size_t i = 0;
+    for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+      auto p = static_cast<size_t>(input.bounds.IndexOf(bounds.x_begin, y));
+      for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++i, ++p) {
+        const float share_a = input.share_a[p];
+        const float moved = share_a * (probed.color[0][c][p] - input.color[0][c][p]) +
+                            (1.0f - share_a) * (probed.color[1][c][p] - input.color[1][c][p]);
+        const float response = probed_picture.color[c][i] - picture.color[c][i];
+        covariance[c][i] = moved * response * (1.0f / (kStep * kStep));
+      }
+    }
+  }
+  return covariance;
+}
+
+}  // namespace tessera
