@@ -1,5 +1,5 @@
-// How much of the noise of its own samples a filter keeps, measured by shaking them: what makes an
-// estimate of its error honest, for what a filter takes over from the noise agrees with the data that
+// How much of the noise of its own samples a filter keeps, measured by shaking them. It makes an
+// estimate of the error honest: what a filter takes over from the noise agrees with the data that
 // judge it.
 // Stein 1981, "Estimation of the mean of a multivariate normal distribution" (SURE); Ramani, Blu &
 // Unser 2008, "Monte-Carlo SURE" (eq. 11: one random probe gives the divergence of a filter that

@@ -13,6 +13,10 @@ namespace {
 // A regressor is left out when less than this part of its square is not explained by those before
 // it: what remains is the rounding of a sum of some hundred floats, num_pixels * 2^-24.
 constexpr float kPivotMin = 361 * 0x1p-24f;
+// How much noisier than the centre a neighbour may be to be excused by its own noise (in
+// variance). A firefly differs from its neighbours by no more than its own noise, and would lend to
+// them all; 1 and 4 measured alike (docs/denoiser.md), 4 being kinder to smooth surfaces.
+constexpr float kVarianceRatioMax = 4.0f;
 // The rows of windows are no longer than this many vectors.
 constexpr int kNumVectorsRowMax = 3;
 
@@ -45,7 +49,7 @@ struct RowDistance {
         const Float8 v_p = Float8{} + (*guide.variance)[c][p];
         const Float8 v_q = Load8((*guide.variance)[c].data() + at);
         const Float8 expected = v_p + Min8(v_p, v_q);
-        const Float8 scale = both / (v_p + v_q);
+        const Float8 scale = both / (v_p + Min8(v_q, kVarianceRatioMax * v_p));
         for (size_t i = 0; i < kNumValues; ++i) {
           const Plane& plane = (*guide.values[i])[c];
           const Float8 d = plane[p] - Load8(plane.data() + at);
