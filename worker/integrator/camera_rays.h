@@ -24,6 +24,13 @@ class CameraRays {
 
   // `x`, `y`: in pixels from the frame's top left corner. `lens` in [0, 1)^2.
   CameraRay At(float x, float y, const V2f& lens) const;
+  // A pixel's width at distance t: width + spread * t, metres.
+  struct PixelCone {
+    float width, spread;
+  };
+  PixelCone pixel_cone() const {
+    return orthographic_ ? PixelCone{scale_, 0} : PixelCone{0, scale_};
+  }
   bool has_lens() const { return lens_radius_ > 0; }
 
  private:

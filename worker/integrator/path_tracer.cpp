@@ -163,8 +163,8 @@ absl::StatusOr<TileStatistics> PathTracer::Render(const PixelRect& window, Sampl
 const Scene& PathTracer::scene() const { return *impl_->scene; }
 
 int64_t PathTracer::memory_bytes() const {
-  int64_t bytes =
-      impl_->scene->memory_bytes() + impl_->embree->memory_bytes() + impl_->lights->memory_bytes();
+  int64_t bytes = impl_->scene->memory_bytes() + impl_->embree->memory_bytes() +
+                  impl_->lights->memory_bytes() + impl_->surfaces->memory_bytes();
   if (impl_->environment != nullptr) bytes += impl_->environment->memory_bytes();
   if (impl_->guide != nullptr) bytes += impl_->guide->memory_bytes();
   return bytes;

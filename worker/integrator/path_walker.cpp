@@ -33,6 +33,10 @@ constexpr int kRouletteStart = 3;
 // Paths through more surfaces than this end, whatever max_depth says.
 constexpr int kDepthLimit = 1024;
 
+// Of the lobe that a direction was drawn from, the share of its width that the direction stands
+// for: a quarter, as if a pixel's samples were sixteen.
+constexpr float kConeShare = 0.25f;
+
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // Converts to what `make` returns: an optional that it is put into needs no copy.
@@ -59,9 +63,11 @@ struct PathWalker::PathState {
   bool seeks_features = true;  // only mirrors and clear glass were met so far
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);
-  int depth = 0;   // surfaces scattered at so far
-  float pdf = 0;   // 1/sr, with which the ray's direction was drawn; depth > 0
-  LightView view;  // from the surface that the ray leaves; depth > 0
+  int depth = 0;          // surfaces scattered at so far
+  float cone_width = 0;   // what the path stands for, at the ray's origin, metres
+  float cone_spread = 0;  // its growth with distance
+  float pdf = 0;          // 1/sr, with which the ray's direction was drawn; depth > 0
+  LightView view;         // from the surface that the ray leaves; depth > 0
   uint64_t hash_key;
 
   // Of the bounce at hand.
@@ -118,6 +124,9 @@ void PathWalker::Start(const PathRequest& request, PathState* path) const {
   const CameraRay ray = parts_.camera.At(static_cast<float>(request.x) + in_pixel.x,
                                          static_cast<float>(request.y) + in_pixel.y, lens);
   path->ray = {ray.origin, ray.direction, kInfinity};
+  const CameraRays::PixelCone cone = parts_.camera.pixel_cone();
+  path->cone_width = cone.width;
+  path->cone_spread = cone.spread;
 }
 
 // Leaves in `met` the paths that hit something; what the others see is added.
@@ -161,9 +170,9 @@ void PathWalker::Read(Batch* batch) const {
   for (int i : batch->met) parts_.surfaces.PrefetchVertices(batch->paths[i].hit);
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
-    path.surface.emplace(InPlace([&] {
-      return parts_.surfaces.Read(path.hit, -path.ray.direction);
-    }));
+    path.cone_width += path.cone_spread * path.hit.t;
+    path.surface.emplace(InPlace(
+        [&] { return parts_.surfaces.Read(path.hit, -path.ray.direction, path.cone_width); }));
   }
   Batch::List scattering;
   for (int i : batch->met) {
@@ -272,9 +281,9 @@ void PathWalker::AimShadow(PathState* path) const {
   const Surface& surface = *path->surface;
   const LightSample& light = path->light;
   const bool above = light.wi.dot(surface.geometric_normal) > 0;
-  const V3f origin = OffsetRayOrigin(
-      surface.position, above ? surface.geometric_normal : -surface.geometric_normal,
-      surface.coordinate_max);
+  const V3f origin = OffsetRayOrigin(surface.position,
+                                     above ? surface.geometric_normal : -surface.geometric_normal,
+                                     surface.coordinate_max);
   if (light.at_infinity) {
     path->shadow = {origin, light.wi, kInfinity};
   } else {
@@ -296,8 +305,7 @@ void PathWalker::CastShadows(Batch* batch) const {
 void PathWalker::Scatter(Batch* batch) const {
   batch->walking.Clear();
   // The last bounce's ray only looks for light that direct lighting competes for.
-  const bool last_is_blind =
-      parts_.environment == nullptr && !parts_.lights.has_extended_lights();
+  const bool last_is_blind = parts_.environment == nullptr && !parts_.lights.has_extended_lights();
   std::array<BsdfSample, kPathsMax> scattered;
   Batch::List scattering;
   for (int i : batch->met) {
@@ -333,6 +341,7 @@ bool PathWalker::Continue(const BsdfSample& scattered, PathState* path) const {
     path->medium = surface.front_face ? surface.absorption : V3f(0, 0, 0);
   }
   path->pdf = scattered.pdf;
+  path->cone_spread += kConeShare / std::sqrt(kPiFloat * scattered.pdf);
   ++path->depth;
   return true;
 }

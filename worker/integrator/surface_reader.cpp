@@ -1,5 +1,7 @@
 #include "worker/integrator/surface_reader.h"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -78,6 +80,15 @@ SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometr
     }
     constants_.push_back(ConstantsOf(material, table));
   }
+  std::vector<uint8_t> is_base_color(scene.textures.size(), 0);
+  for (const Material& material : scene.materials) {
+    const int texture = material.base_color_texture.texture;
+    if (texture >= 0) is_base_color[texture] = 1;
+  }
+  mips_.resize(scene.textures.size());
+  tbb::parallel_for(size_t{0}, mips_.size(), [&](size_t i) {
+    if (is_base_color[i]) mips_[i] = TextureMips(scene.textures[i]);
+  });
   for (const Texture& texture : scene.textures) {
     bool has_alpha = false;
     for (size_t i = 3; i < texture.rgba.size(); i += 4) has_alpha |= texture.rgba[i] != 255;
@@ -140,10 +151,9 @@ SurfaceReader::Constants SurfaceReader::ConstantsOf(const Material& material,
                                                     const GlassAlbedoTable* glass) const {
   Constants c;
   c.textured = false;
-  for (const TextureRef* ref :
-       {&material.base_color_texture, &material.metallic_roughness_texture,
-        &material.emission_texture, &material.transmission_texture, &material.specular_texture,
-        &material.specular_color_texture}) {
+  for (const TextureRef* ref : {&material.base_color_texture, &material.metallic_roughness_texture,
+                                &material.emission_texture, &material.transmission_texture,
+                                &material.specular_texture, &material.specular_color_texture}) {
     c.textured |= ref->texture >= 0;
   }
   c.has_normal_map = material.normal_texture.texture >= 0;
@@ -230,12 +240,44 @@ V3f SurfaceReader::MappedNormal(const Place& place, const TextureRef& map, float
   return mapped.dot(mapped) > 0.5f ? mapped : normal;
 }
 
-void SurfaceReader::ReadTextures(const Place& place, Surface* surface) const {
+V3f SurfaceReader::FilteredColor(const Place& place, const TextureRef& ref,
+                                 float cone_width) const {
+  const Texture& texture = scene_.textures[ref.texture];
+  const TextureMips& mips = mips_[ref.texture];
+  if (cone_width > 0 && mips.num_levels() > 0) {
+    // Texels across the cone, by the ratio of the triangle's areas.
+    const std::vector<V2f>& uvs = place.mesh.uvs[ref.uv_set == 1 ? 1 : 0];
+    const WorldTriangle& t = place.world;
+    const float area2 = (t.b - t.a).cross(t.c - t.a).length();
+    if (!uvs.empty() && area2 > 0) {
+      const V2f ab = uvs[place.corner[1]] - uvs[place.corner[0]];
+      const V2f ac = uvs[place.corner[2]] - uvs[place.corner[0]];
+      const std::array<float, 6>& m = ref.transform;
+      const float uv_area2 = std::fabs((ab.x * ac.y - ab.y * ac.x) * (m[0] * m[4] - m[1] * m[3]));
+      const float texels = static_cast<float>(texture.width) * static_cast<float>(texture.height);
+      const int level = mips.LevelFor(cone_width * std::sqrt(uv_area2 * texels / area2));
+      if (level > 0) {
+        return mips.Lookup(texture, ref,
+                           TextureUv(place.mesh, ref, place.corner, place.hit.u, place.hit.v),
+                           level);
+      }
+    }
+  }
+  const V4f texel = SrgbTexel(place, ref);
+  return {texel.x, texel.y, texel.z};
+}
+
+int64_t SurfaceReader::memory_bytes() const {
+  int64_t bytes = 0;
+  for (const TextureMips& mips : mips_) bytes += mips.memory_bytes();
+  return bytes;
+}
+
+void SurfaceReader::ReadTextures(const Place& place, float cone_width, Surface* surface) const {
   const Material& material = place.material;
   V3f base(material.base_color.x, material.base_color.y, material.base_color.z);
   if (material.base_color_texture.texture >= 0) {
-    const V4f c = SrgbTexel(place, material.base_color_texture);
-    base *= V3f(c.x, c.y, c.z);
+    base *= FilteredColor(place, material.base_color_texture, cone_width);
   }
   if (!place.mesh.colors.empty()) {
     const V4f c = Interpolate(place.mesh.colors, place.corner, place.hit.u, place.hit.v);
@@ -304,7 +346,7 @@ void SurfaceReader::ReadLayers(const Place& place, const V3f& smooth, const V3f&
   }
 }
 
-Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
+Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo, float cone_width) const {
   const InstanceGeometry& geometry = geometries_[hit.instance];
   const Mesh& mesh = *geometry.mesh;
   const Material& material = scene_.materials[mesh.material];
@@ -342,7 +384,7 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo) const {
   s.emission = constants.emission;
   s.bsdf = constants.bsdf;
   s.bsdf.entering = s.front_face;
-  if (constants.textured || !mesh.colors.empty()) ReadTextures(place, &s);
+  if (constants.textured || !mesh.colors.empty()) ReadTextures(place, cone_width, &s);
   // The inside of a solid has no layers.
   const bool is_outside = s.front_face || s.bsdf.thin_walled || !constants.transmits;
   if (constants.has_layers && is_outside) ReadLayers(place, smooth, wo, &s);

@@ -12,6 +12,7 @@
 #include "worker/integrator/bsdf.h"
 #include "worker/integrator/instance_geometry.h"
 #include "worker/integrator/specular_albedo.h"
+#include "worker/integrator/texture_mips.h"
 #include "worker/scene/scene.h"
 
 namespace tessera {
@@ -59,8 +60,9 @@ class SurfaceReader {
       if (!mesh.normals.empty()) __builtin_prefetch(&mesh.normals[corner]);
     }
   }
-  // `wo`: unit, towards where the ray came from.
-  Surface Read(const RayHit& hit, const V3f& wo) const;
+  // `wo`: unit, towards where the ray came from. `cone_width`: of what the ray stands for, metres;
+  // base colours are filtered over rather less than that.
+  Surface Read(const RayHit& hit, const V3f& wo, float cone_width = 0) const;
   // Coverage in [0, 1] of a point of a triangle; 0 or 1 for AlphaMode::kMask.
   float Alpha(uint32_t instance, uint32_t triangle, float u, float v) const;
   V3f Emission(uint32_t instance, uint32_t triangle, float u, float v) const;
@@ -70,6 +72,7 @@ class SurfaceReader {
   bool HasAlpha(const Mesh& mesh) const;
   bool Emits(const Mesh& mesh) const;
   const InstanceGeometry& geometry(uint32_t instance) const { return geometries_[instance]; }
+  int64_t memory_bytes() const;  // of prefiltered textures
   uint32_t num_instances() const { return static_cast<uint32_t>(geometries_.size()); }
 
  private:
@@ -79,7 +82,8 @@ class SurfaceReader {
   V3f MappedNormal(const Place& place, const TextureRef& map, float scale, const V3f& smooth) const;
   V4f Texel(const Place& place, const TextureRef& ref) const;
   V4f SrgbTexel(const Place& place, const TextureRef& ref) const;
-  void ReadTextures(const Place& place, Surface* surface) const;
+  V3f FilteredColor(const Place& place, const TextureRef& ref, float cone_width) const;
+  void ReadTextures(const Place& place, float cone_width, Surface* surface) const;
   void ReadSpecular(const Place& place, BsdfParameters* bsdf) const;
   void ReadLayers(const Place& place, const V3f& smooth, const V3f& wo, Surface* surface) const;
 
@@ -96,6 +100,7 @@ class SurfaceReader {
   std::span<const InstanceGeometry> geometries_;
   std::vector<std::unique_ptr<const GlassAlbedoTable>> glass_tables_;
   std::vector<Constants> constants_;        // by material
+  std::vector<TextureMips> mips_;           // by texture; levels for base colours only
   std::vector<uint8_t> texture_has_alpha_;  // by texture
 };
 

@@ -49,27 +49,39 @@ V4f Texel(const Texture& t, int x, int y, const Table& table) {
 // Beyond this a coordinate has no fraction left.
 float Bounded(float x) { return std::fabs(x) < 1e6f ? x : 0.f; }
 
+// Where `uv` of the reference's set lies in a grid of width x height texels.
+V2f GridPosition(int width, int height, const TextureRef& ref, const V2f& uv) {
+  const std::array<float, 6>& m = ref.transform;
+  return {Bounded(m[0] * uv.x + m[1] * uv.y + m[2]) * static_cast<float>(width),
+          Bounded(m[3] * uv.x + m[4] * uv.y + m[5]) * static_cast<float>(height)};
+}
+
 V4f Lookup(const Texture& t, const TextureRef& ref, const V2f& uv, const Table& table) {
   if (t.width <= 0 || t.height <= 0) return {1, 1, 1, 1};
-  const std::array<float, 6>& m = ref.transform;
-  const float x = Bounded(m[0] * uv.x + m[1] * uv.y + m[2]) * static_cast<float>(t.width);
-  const float y = Bounded(m[3] * uv.x + m[4] * uv.y + m[5]) * static_cast<float>(t.height);
   if (t.nearest) {
-    return Texel(t, Wrap(static_cast<int>(std::floor(x)), t.width, t.wrap_s),
-                 Wrap(static_cast<int>(std::floor(y)), t.height, t.wrap_t), table);
+    const V2f at = GridPosition(t.width, t.height, ref, uv);
+    return Texel(t, Wrap(static_cast<int>(std::floor(at.x)), t.width, t.wrap_s),
+                 Wrap(static_cast<int>(std::floor(at.y)), t.height, t.wrap_t), table);
   }
-  const float left = std::floor(x - 0.5f), top = std::floor(y - 0.5f);
-  const float fx = x - 0.5f - left, fy = y - 0.5f - top;
-  const int x0 = Wrap(static_cast<int>(left), t.width, t.wrap_s);
-  const int x1 = Wrap(static_cast<int>(left) + 1, t.width, t.wrap_s);
-  const int y0 = Wrap(static_cast<int>(top), t.height, t.wrap_t);
-  const int y1 = Wrap(static_cast<int>(top) + 1, t.height, t.wrap_t);
-  const V4f upper = Texel(t, x0, y0, table) * (1 - fx) + Texel(t, x1, y0, table) * fx;
-  const V4f lower = Texel(t, x0, y1, table) * (1 - fx) + Texel(t, x1, y1, table) * fx;
-  return upper * (1 - fy) + lower * fy;
+  const BilinearTexels b = BilinearAt(t.width, t.height, t, ref, uv);
+  const V4f upper = Texel(t, b.x0, b.y0, table) * (1 - b.fx) + Texel(t, b.x1, b.y0, table) * b.fx;
+  const V4f lower = Texel(t, b.x0, b.y1, table) * (1 - b.fx) + Texel(t, b.x1, b.y1, table) * b.fx;
+  return upper * (1 - b.fy) + lower * b.fy;
 }
 
 }  // namespace
+
+BilinearTexels BilinearAt(int width, int height, const Texture& texture, const TextureRef& ref,
+                          const V2f& uv) {
+  const V2f at = GridPosition(width, height, ref, uv);
+  const float left = std::floor(at.x - 0.5f), top = std::floor(at.y - 0.5f);
+  return {Wrap(static_cast<int>(left), width, texture.wrap_s),
+          Wrap(static_cast<int>(left) + 1, width, texture.wrap_s),
+          Wrap(static_cast<int>(top), height, texture.wrap_t),
+          Wrap(static_cast<int>(top) + 1, height, texture.wrap_t),
+          at.x - 0.5f - left,
+          at.y - 0.5f - top};
+}
 
 float LinearOfSrgb(uint8_t code) { return kSrgbTable[code]; }
 

@@ -135,7 +135,9 @@ TEST(RobustGeometryTest, ScaledAndDistantScenesLookTheSame) {
     for (size_t i = 0; i < plain.mean.size(); ++i) {
       const double variance = plain.variance[i] + moved.variance[i];
       const double difference = moved.mean[i] - plain.mean[i];
-      if (variance == 0) EXPECT_EQ(difference, 0) << c.root << " pixel " << i;  // outside the room
+      if (variance == 0) {  // outside the room
+        EXPECT_EQ(difference, 0) << c.root << " pixel " << i;
+      }
       const double z = variance > 0 ? difference / std::sqrt(variance) : 0;
       z2_sum += z * z;
       // A normal variate passes 5.5 once in 26 million; Student's t of 47 degrees once in 10^6.

@@ -1,0 +1,110 @@
+#include "worker/integrator/texture_mips.h"
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+
+#include "worker/integrator/texture_lookup.h"
+
+namespace tessera {
+namespace {
+
+constexpr float kCodeMax = 65535;
+
+// The texels of a row of `from` that texel `to_index` of a row of `to` covers, and their weights,
+// whose sum is 1. to <= from <= 3 * to.
+struct Cover {
+  int first;
+  std::array<float, 4> weights = {};
+};
+Cover CoverOf(int to_index, int to, int from) {
+  const double scale = static_cast<double>(from) / to;
+  const double begin = to_index * scale, end = (to_index + 1) * scale;
+  Cover cover;
+  cover.first = static_cast<int>(begin);
+  for (int k = 0; k < 4; ++k) {
+    const double low = std::max<double>(begin, cover.first + k);
+    const double high = std::min<double>(end, cover.first + k + 1);
+    cover.weights[k] = static_cast<float>(std::max(0.0, high - low) / scale);
+  }
+  return cover;
+}
+
+}  // namespace
+
+TextureMips::TextureMips(const Texture& texture) {
+  if (texture.width <= 1 && texture.height <= 1) return;
+  Level full{texture.width, texture.height, {}};
+  std::array<uint16_t, 256> codes;
+  for (int i = 0; i < 256; ++i) {
+    codes[i] = static_cast<uint16_t>(LinearOfSrgb(static_cast<uint8_t>(i)) * kCodeMax + 0.5f);
+  }
+  full.rgb.reserve(texture.rgba.size() / 4 * 3);
+  for (size_t i = 0; i < texture.rgba.size(); i += 4) {
+    for (size_t c = 0; c < 3; ++c) full.rgb.push_back(codes[texture.rgba[i + c]]);
+  }
+  levels_.push_back(Halve(full));
+  while (levels_.back().width > 1 || levels_.back().height > 1) {
+    levels_.push_back(Halve(levels_.back()));
+  }
+}
+
+TextureMips::Level TextureMips::Halve(const Level& from) {
+  Level to{std::max(1, from.width / 2), std::max(1, from.height / 2), {}};
+  to.rgb.reserve(size_t{3} * static_cast<size_t>(to.width) * static_cast<size_t>(to.height));
+  std::vector<Cover> columns;
+  for (int x = 0; x < to.width; ++x) columns.push_back(CoverOf(x, to.width, from.width));
+  for (int y = 0; y < to.height; ++y) {
+    const Cover rows = CoverOf(y, to.height, from.height);
+    for (const Cover& column : columns) {
+      float sums[3] = {0, 0, 0};
+      for (int j = 0; j < 4; ++j) {
+        if (rows.weights[j] == 0) continue;
+        const size_t row = static_cast<size_t>(rows.first + j) * static_cast<size_t>(from.width);
+        for (int i = 0; i < 4; ++i) {
+          const float weight = rows.weights[j] * column.weights[i];
+          if (weight == 0) continue;
+          const uint16_t* texel = &from.rgb[3 * (row + static_cast<size_t>(column.first + i))];
+          for (int c = 0; c < 3; ++c) sums[c] += weight * static_cast<float>(texel[c]);
+        }
+      }
+      for (float sum : sums) {
+        to.rgb.push_back(static_cast<uint16_t>(std::min(sum + 0.5f, kCodeMax)));
+      }
+    }
+  }
+  return to;
+}
+
+int TextureMips::LevelFor(float footprint) const {
+  if (!(footprint >= 4)) return 0;
+  // floor(log2(footprint / 2)), from the exponent.
+  const int exponent = static_cast<int>(std::bit_cast<uint32_t>(footprint * 0.5f) >> 23) - 127;
+  return std::min(exponent, num_levels());
+}
+
+Imath::V3f TextureMips::Lookup(const Texture& texture, const TextureRef& ref, const V2f& uv,
+                               int level) const {
+  const Level& l = levels_[static_cast<size_t>(level) - 1];
+  const BilinearTexels at = BilinearAt(l.width, l.height, texture, ref, uv);
+  const auto texel = [&l](int x, int y) {
+    const size_t index =
+        static_cast<size_t>(y) * static_cast<size_t>(l.width) + static_cast<size_t>(x);
+    const uint16_t* p = &l.rgb[3 * index];
+    return Imath::V3f(p[0], p[1], p[2]);
+  };
+  const Imath::V3f upper = texel(at.x0, at.y0) * (1 - at.fx) + texel(at.x1, at.y0) * at.fx;
+  const Imath::V3f lower = texel(at.x0, at.y1) * (1 - at.fx) + texel(at.x1, at.y1) * at.fx;
+  return (upper * (1 - at.fy) + lower * at.fy) * (1 / kCodeMax);
+}
+
+int64_t TextureMips::memory_bytes() const {
+  int64_t bytes = 0;
+  for (const Level& level : levels_) {
+    bytes += static_cast<int64_t>(level.rgb.capacity() * sizeof(uint16_t));
+  }
+  return bytes;
+}
+
+}  // namespace tessera
