@@ -37,7 +37,7 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--references", type=int, default=512, help="samples of each reference")
     parser.add_argument("--max-depth", type=int, default=8)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--repeat", action="store_true", help="render tessera's pictures again")
+    parser.add_argument("--repeat", action="store_true", help="render and time again all but the references")
     parser.add_argument("--embree", action="store_true", help="Embree's path tracer too")
     return parser.parse_args()
 
@@ -64,7 +64,7 @@ class Measurement:
         self._folder = args.out / f"{args.size}_{args.max_depth}" / view.name / renderer.name
         self._folder.mkdir(parents=True, exist_ok=True)
         self._references = args.references
-        self._fresh = args.repeat and renderer.name == "tessera"
+        self._repeat = args.repeat
 
     def _path(self, spp: int, seed: int) -> pathlib.Path:
         return self._folder / f"{spp}_{seed}.exr"
@@ -73,7 +73,7 @@ class Measurement:
         """Unless a picture and its time are there already."""
         out = self._path(spp, seed)
         time_file = out.with_suffix(".cpu")
-        if time_file.exists() and not (self._fresh and seed == SEED):
+        if time_file.exists() and not (self._repeat and seed == SEED):
             return
         cpu = self._renderer.render(self._view, self._scene, self._frame, spp, seed, out)
         time_file.write_text(f"{cpu}\n", encoding="utf-8")

@@ -19,7 +19,7 @@ constexpr int kHitsPerPathMax = 4;
 // Of the pilot's own numbers: independent of any job's seed.
 constexpr uint64_t kPilotSeed = 0x70696c6f74ull;
 // Points that a region is learnt from, at most: a region is split while it has more.
-constexpr size_t kRegionPoints = 16;
+constexpr size_t kRegionPoints = 32;
 constexpr int kAxes = 6;
 // Of a point, of each group of lights but the environment.
 constexpr uint32_t kLightSamples = 4;
