@@ -14,7 +14,7 @@ namespace {
 // About the sine of a cell's radius: a cell this near the horizon is partly above it.
 constexpr float kCellRadius = 0.22f;
 // A guide is an estimate: no cell's light counts less than this share of it.
-constexpr float kVisibilityFloor = 0.02f;
+constexpr float kVisibilityFloor = 0.004f;
 
 constexpr SkyVisibility AllSeen() {
   SkyVisibility all = {};

@@ -167,8 +167,8 @@ void LightGuide::LearnSky(const Parts& parts, std::span<const Point> points, Reg
       seen += parts.embree.Transmittance({p.position, d.direction, kInfinity});
     }
     if (rays == 0) continue;
-    // Half a ray's doubt.
-    const float share = (seen + 0.5f) / (static_cast<float>(rays) + 1);
+    // A tenth of a ray of doubt.
+    const float share = (seen + 0.1f) / (static_cast<float>(rays) + 0.2f);
     if (seen < static_cast<float>(rays)) region->open = false;
     region->sky[cell] = static_cast<uint8_t>(255 * share);
   }

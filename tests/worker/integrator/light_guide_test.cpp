@@ -68,15 +68,20 @@ TEST(LightGuideTest, AnOpenSceneNeedsNoGuide) {
 }
 
 TEST(LightGuideTest, KeepsTheMeanAndLowersTheError) {
-  const OpenTracer plain(Room(), 12, 12, 5);
-  OpenTracer guided(Room(), 12, 12, 5);
-  guided.Guide();
-  const RadianceMoments a = plain.Render(64, 12), b = guided.Render(64, 12);
-  for (int c = 0; c < 3; ++c) {
-    const double error = std::hypot(a.standard_error[c], b.standard_error[c]);
-    EXPECT_NEAR(a.mean[c], b.mean[c], 4.5 * error);  // fails by chance once in 10^5
+  for (int max_depth : {0, 5}) {
+    const OpenTracer plain(Room(), 12, 12, max_depth);
+    OpenTracer guided(Room(), 12, 12, max_depth);
+    guided.Guide();
+    const RadianceMoments a = plain.Render(16, 40), b = guided.Render(16, 40);
+    for (int c = 0; c < 3; ++c) {
+      const double error = std::hypot(a.standard_error[c], b.standard_error[c]);
+      EXPECT_NEAR(a.mean[c], b.mean[c], 4.5 * error);  // fails by chance once in 10^5
+    }
+    // Direct light alone gains several times; of 40 frames a deviation is known to 12 %.
+    if (max_depth == 0) {
+      EXPECT_LT(b.standard_error[0], 0.8 * a.standard_error[0]);
+    }
   }
-  EXPECT_LT(b.standard_error[0], a.standard_error[0]);
 }
 
 TEST(LightGuideTest, SharesFollowTheLightThatArrives) {
