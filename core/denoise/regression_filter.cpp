@@ -108,7 +108,32 @@ struct Filtered {
   BlendedPicture picture;
   // Squared error of each channel, right on average, not pooled.
   Planes3 risk;
+  // What tells how bright a pixel truly is: the halves' product, whose mean is the true square, less
+  // the filtered square; and the variance of that product if the filtered value is true.
+  Planes3 excess, excess_variance;
 };
+
+// Fills excess and excess_variance.
+void CompareSquares(const RegressionInput& input, Filtered* filtered) {
+  const PixelRect& bounds = filtered->picture.bounds;
+  for (size_t c = 0; c < 3; ++c) {
+    filtered->excess[c].resize(static_cast<size_t>(bounds.area()));
+    filtered->excess_variance[c].resize(filtered->excess[c].size());
+    size_t i = 0;
+    for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+      auto p = static_cast<size_t>(input.bounds.IndexOf(bounds.x_begin, y));
+      for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++i, ++p) {
+        if (input.known[p] == 0) continue;
+        const float value = filtered->picture.color[c][i];
+        const float shares = input.share_a[p] * (1.0f - input.share_a[p]);
+        const float variance = input.variance[c][p];
+        filtered->excess[c][i] = input.color[0][c][p] * input.color[1][c][p] - value * value;
+        // Of halves with the variances v / share_a and v / share_b.
+        filtered->excess_variance[c][i] = (value * value * variance + variance * variance) / shares;
+      }
+    }
+  }
+}
 
 // At final quality the estimate of the error has no bias but what features share with the noise; a
 // preview does without the second run that it takes.
@@ -125,6 +150,7 @@ Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
   Filtered filtered;
   filtered.picture = run(input);
   filtered.risk = filtered.picture.dual_risk;
+  CompareSquares(input, &filtered);
   if (quality == DenoiseQuality::kPreview) return filtered;
   const RegressionInput probed = ProbedInput(input);
   const Planes3 covariance = NoiseCovariance(input, probed, filtered.picture, run(probed));
@@ -146,14 +172,31 @@ struct PooledErrors {
     for (size_t c = 0; c < 3; ++c) {
       risk[c] = BoxSum(filtered.risk[c], bounds, kRiskRadiusPx, window);
       noise[c] = BoxSum(filtered.picture.noise[c], bounds, kRiskRadiusPx, window);
-      near_risk[c] = BoxSum(filtered.risk[c], bounds, kNearRadiusPx, window);
+      near_excess[c] = BoxSum(filtered.excess[c], bounds, kNearRadiusPx, window);
+      near_variance[c] = BoxSum(filtered.excess_variance[c], bounds, kNearRadiusPx, window);
     }
   }
-  // Of the immediate neighbours, which tell whether a pixel may be much brighter than it looks.
+  // Of the immediate neighbours, which tell whether a pixel is as bright as it looks.
   static constexpr int kNearRadiusPx = 1;
   Plane count, near_count;
-  Planes3 risk, noise, near_risk;
+  Planes3 risk, noise, near_excess, near_variance;
 };
+
+// The square of a pixel's true value, to weigh its error with: the filtered value's square, moved
+// toward what the halves of the eight pixels around say as far as that stands out of their noise
+// (James & Stein's positive part). The pixel's own halves are left out, for they are in its error.
+float TrueSquare(const Filtered& filtered, const PooledErrors& pooled, size_t c, size_t i,
+                 size_t w) {
+  const float value = filtered.picture.color[c][i];
+  const float count = pooled.near_count[w] - 1.0f;
+  if (!(count > 0)) return value * value;
+  const float excess = (pooled.near_excess[c][w] - filtered.excess[c][i]) / count;
+  const float variance =
+      (pooled.near_variance[c][w] - filtered.excess_variance[c][i]) / (count * count);
+  const float square = excess * excess;
+  const float part = square > variance ? 1.0f - variance / square : 0.0f;
+  return std::max(value * value + part * excess, 0.0f);
+}
 
 // Writes a filtered pixel: `i` in the filtered planes, `w` in the pooled ones, `to` in `out`.
 void WritePixel(const Filtered& filtered, const PooledErrors& pooled, size_t i, size_t w, size_t to,
@@ -163,10 +206,7 @@ void WritePixel(const Filtered& filtered, const PooledErrors& pooled, size_t i, 
     out->color[c][to] = value;
     out->error[c][to] =
         HalfWidth95(std::max(pooled.risk[c][w], pooled.noise[c][w]) / pooled.count[w]);
-    // The true value's square is the filtered value's and the squared error on average.
-    const float square =
-        value * value + std::max(pooled.near_risk[c][w] / pooled.near_count[w], 0.0f);
-    const float scale = 1.0f / (square + kRelMseEpsilon);
+    const float scale = 1.0f / (TrueSquare(filtered, pooled, c, i, w) + kRelMseEpsilon);
     out->relative_error[to] += filtered.risk[c][i] * scale;
     out->relative_noise[to] += filtered.picture.noise[c][i] * scale;
   }
