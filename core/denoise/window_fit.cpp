@@ -15,7 +15,7 @@ namespace {
 constexpr float kPivotMin = 361 * 0x1p-24f;
 // How much noisier than the centre a neighbour may be to be excused by its own noise (in
 // variance). A firefly differs from its neighbours by no more than its own noise, and would lend to
-// them all; 1 and 4 measured alike (docs/denoiser.md), 4 being kinder to smooth surfaces.
+// them all; measured, docs/denoiser.md.
 constexpr float kVarianceRatioMax = 4.0f;
 // The rows of windows are no longer than this many vectors.
 constexpr int kNumVectorsRowMax = 3;
