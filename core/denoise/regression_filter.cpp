@@ -129,7 +129,7 @@ void CompareSquares(const RegressionInput& input, Filtered* filtered) {
         const float variance = input.variance[c][p];
         filtered->excess[c][i] = input.color[0][c][p] * input.color[1][c][p] - value * value;
         // Of halves with the variances v / share_a and v / share_b.
-        filtered->excess_variance[c][i] = (value * value * variance + variance * variance) / shares;
+        filtered->excess_variance[c][i] = variance * (value * value + variance) / shares;
       }
     }
   }
