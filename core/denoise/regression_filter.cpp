@@ -108,8 +108,8 @@ struct Filtered {
   BlendedPicture picture;
   // Squared error of each channel, right on average, not pooled.
   Planes3 risk;
-  // What tells how bright a pixel truly is: the halves' product, whose mean is the true square, less
-  // the filtered square; and the variance of that product if the filtered value is true.
+  // What tells how bright a pixel truly is: the halves' product, whose mean is the true square,
+  // less the filtered square; and the variance of that product if the filtered value is true.
   Planes3 excess, excess_variance;
 };
 
