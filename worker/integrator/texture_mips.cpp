@@ -4,6 +4,7 @@
 #include <array>
 #include <bit>
 #include <cmath>
+#include <utility>
 
 #include "worker/integrator/texture_lookup.h"
 
@@ -35,38 +36,38 @@ Cover CoverOf(int to_index, int to, int from) {
 
 TextureMips::TextureMips(const Texture& texture) {
   if (texture.width <= 1 && texture.height <= 1) return;
-  Level full{texture.width, texture.height, {}};
-  std::array<uint16_t, 256> codes;
-  for (int i = 0; i < 256; ++i) {
-    codes[i] = static_cast<uint16_t>(LinearOfSrgb(static_cast<uint8_t>(i)) * kCodeMax + 0.5f);
-  }
-  full.rgb.reserve(texture.rgba.size() / 4 * 3);
-  for (size_t i = 0; i < texture.rgba.size(); i += 4) {
-    for (size_t c = 0; c < 3; ++c) full.rgb.push_back(codes[texture.rgba[i + c]]);
-  }
-  levels_.push_back(Halve(full));
+  std::array<float, 256> codes;
+  for (int i = 0; i < 256; ++i) codes[i] = LinearOfSrgb(static_cast<uint8_t>(i)) * kCodeMax;
+  levels_.push_back(Halve(texture.width, texture.height, [&](size_t index, size_t c) {
+    return codes[texture.rgba[4 * index + c]];
+  }));
   while (levels_.back().width > 1 || levels_.back().height > 1) {
-    levels_.push_back(Halve(levels_.back()));
+    const Level& above = levels_.back();
+    Level next = Halve(above.width, above.height, [&above](size_t index, size_t c) {
+      return static_cast<float>(above.rgb[3 * index + c]);
+    });
+    levels_.push_back(std::move(next));
   }
 }
 
-TextureMips::Level TextureMips::Halve(const Level& from) {
-  Level to{std::max(1, from.width / 2), std::max(1, from.height / 2), {}};
+template <typename Texel>
+TextureMips::Level TextureMips::Halve(int width, int height, const Texel& texel) {
+  Level to{std::max(1, width / 2), std::max(1, height / 2), {}};
   to.rgb.reserve(size_t{3} * static_cast<size_t>(to.width) * static_cast<size_t>(to.height));
   std::vector<Cover> columns;
-  for (int x = 0; x < to.width; ++x) columns.push_back(CoverOf(x, to.width, from.width));
+  for (int x = 0; x < to.width; ++x) columns.push_back(CoverOf(x, to.width, width));
   for (int y = 0; y < to.height; ++y) {
-    const Cover rows = CoverOf(y, to.height, from.height);
+    const Cover rows = CoverOf(y, to.height, height);
     for (const Cover& column : columns) {
       float sums[3] = {0, 0, 0};
       for (int j = 0; j < 4; ++j) {
         if (rows.weights[j] == 0) continue;
-        const size_t row = static_cast<size_t>(rows.first + j) * static_cast<size_t>(from.width);
+        const size_t row = static_cast<size_t>(rows.first + j) * static_cast<size_t>(width);
         for (int i = 0; i < 4; ++i) {
           const float weight = rows.weights[j] * column.weights[i];
           if (weight == 0) continue;
-          const uint16_t* texel = &from.rgb[3 * (row + static_cast<size_t>(column.first + i))];
-          for (int c = 0; c < 3; ++c) sums[c] += weight * static_cast<float>(texel[c]);
+          const size_t index = row + static_cast<size_t>(column.first + i);
+          for (size_t c = 0; c < 3; ++c) sums[c] += weight * texel(index, c);
         }
       }
       for (float sum : sums) {

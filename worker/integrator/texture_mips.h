@@ -34,7 +34,9 @@ class TextureMips {
     int width, height;
     std::vector<uint16_t> rgb;  // row-major
   };
-  static Level Halve(const Level& from);
+  // `texel(index, c)`: channel c of texel `index` of the width x height above, as a 16-bit code.
+  template <typename Texel>
+  static Level Halve(int width, int height, const Texel& texel);
 
   std::vector<Level> levels_;  // entry 0 is level 1
 };

@@ -34,7 +34,8 @@ absl::StatusOr<LocatedImages> LocateImages(const GltfDocument& document,
       if (!size.ok()) return At(image, size.status());
       entry.size = *size;
     }
-    images.decoded_bytes += int64_t{4} * entry.size.width * entry.size.height;
+    // RGBA, and room for the levels that the path tracer filters a base colour to.
+    images.decoded_bytes += int64_t{6} * entry.size.width * entry.size.height;
   }
   return images;
 }

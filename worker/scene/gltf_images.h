@@ -24,7 +24,7 @@ struct LocatedImages {
     ImageSize size;
   };
   std::vector<Entry> entries;  // by glTF image
-  int64_t decoded_bytes = 0;   // of all textures
+  int64_t decoded_bytes = 0;   // of all textures, prefiltered levels included
 };
 
 // Needs LoadViews. Errors: NOT_FOUND, INVALID_ARGUMENT naming the image.

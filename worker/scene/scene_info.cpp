@@ -95,7 +95,9 @@ void DescribeScene(const Scene& scene, SceneSummary* summary) {
   summary->bounds_min = bounds.min + scene.origin;
   summary->bounds_max = bounds.max + scene.origin;
   summary->features = FeaturesOf(scene);
-  summary->memory_bytes = scene.memory_bytes() + EstimateAccelerationBytes(scene);
+  // Prefiltered levels of colour textures take half as much again.
+  summary->memory_bytes =
+      scene.memory_bytes() + EstimateAccelerationBytes(scene) + summary->texture_bytes / 2;
   summary->notes = scene.notes;
 }
 
