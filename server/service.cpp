@@ -38,8 +38,11 @@ constexpr std::chrono::milliseconds kShutdownGrace{1000};
 constexpr char kHttpOff[] = "off";
 
 bool IsLoopback(const std::string& address) {
-  return absl::StartsWith(address, "127.") || absl::StartsWith(address, "localhost:") ||
-         absl::StartsWith(address, "[::1]:") || absl::StartsWith(address, "unix:");
+  const std::string host = address.substr(0, address.rfind(':'));
+  // A name may begin with 127. too: only numbers are this machine's.
+  return host == "localhost" || host == "[::1]" || absl::StartsWith(address, "unix:") ||
+         (absl::StartsWith(host, "127.") &&
+          host.find_first_not_of("0123456789.") == std::string::npos);
 }
 
 absl::Status CheckOptions(const ServiceOptions& options) {
@@ -183,7 +186,8 @@ PictureSource Service::Impl::MakePictureSource() {
       if (!record.ok()) return false;
       const bool is_sampling = record->state() == v1::JOB_STATE_QUEUED ||
                                record->state() == v1::JOB_STATE_RUNNING;
-      view = {record->settings(), record->progress().committed_spp(), is_sampling, c.FilmOf(job)};
+      view = {record->settings(), record->progress().committed_spp(), is_sampling, c.FilmOf(job),
+              record->progress().samples() > 0};
       return true;
     });
     if (exists && view.film == nullptr) {

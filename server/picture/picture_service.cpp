@@ -55,8 +55,9 @@ void PictureService::Stop() {
 void PictureService::TileChanged(JobId job, int64_t tile) {
   std::lock_guard lock(mu_);
   const auto it = entries_.find(job);
-  if (it == entries_.end() || it->second.picture == nullptr) return;
-  it->second.changed.insert(tile);
+  if (it == entries_.end()) return;
+  it->second.blank = false;
+  if (it->second.picture != nullptr) it->second.changed.insert(tile);
   if (it->second.watchers > 0) wake_.notify_all();
 }
 
@@ -133,7 +134,7 @@ void PictureService::Run() {
 }
 
 std::optional<int64_t> PictureService::DueMs(const Entry& entry) {
-  if (entry.watchers == 0 && !entry.wanted) return std::nullopt;
+  if (entry.blank || (entry.watchers == 0 && !entry.wanted)) return std::nullopt;
   if (entry.picture == nullptr || !entry.changed.empty()) return entry.not_before_ms;
   if (entry.picture->is_refined()) return std::nullopt;
   return std::max(entry.not_before_ms, entry.refine_at_ms);
@@ -207,6 +208,7 @@ void PictureService::RunRound(JobId job) {
     entry.last_round = ++num_rounds_;
     removed = entry.removed;
     last_was_preview_ = !entry.WantsQuality();
+    entry.blank = entry.picture == nullptr;
     if (entry.refinement != nullptr) refined = entry.picture;
     if (refined == nullptr) refine = std::exchange(entry.refine, false);
   }
@@ -221,10 +223,16 @@ void PictureService::RunRound(JobId job) {
     Entry& entry = entries_[job];
     round.waiting = std::exchange(entry.waiting, {});
     round.finish = std::exchange(entry.finish, false);
+    const bool is_asked_for = refine || entry.refine || round.finish || !round.waiting.empty();
+    if (view->has_samples || is_asked_for) entry.blank = false;
     // What has been asked for since the round began leads to another one, as the view may be older;
     // if it is not, this round's answer counts and must have the job's quality.
     refine |= !view->is_sampling || entry.refine || round.finish;
     entry.wanted = false;
+    if (entry.picture == nullptr && !view->has_samples && !is_asked_for) {
+      entry.used_ms = MonotonicMs();
+      return;
+    }
   }
   std::vector<int64_t> changed;
   const std::shared_ptr<Picture> picture = TakeChanges(job, *view, &changed);

@@ -1,8 +1,9 @@
 // Keeps the pictures of jobs up to date in the background, as far as somebody looks at them:
-// nothing is filtered while nobody watches or fetches; with a watcher, filtering takes at most
-// kPreviewShare of the machine, and the rate follows from what a round costs. Latest wins: a round
-// takes whatever has changed since the last one. Previews of a job that is sampled are filtered at
-// preview quality; at rest, or when somebody waits, the picture has the job's.
+// nothing is filtered while nobody watches or fetches, and a watched job that waits for its turn
+// has no picture in memory; with a watcher, filtering takes at most kPreviewShare of the machine,
+// and the rate follows from what a round costs. Latest wins: a round takes whatever has changed
+// since the last one. Previews of a job that is sampled are filtered at preview quality; at rest,
+// or when somebody waits, the picture has the job's.
 #pragma once
 
 #include <condition_variable>
@@ -30,6 +31,7 @@ struct PictureSource {
     int64_t committed_spp = 0;
     bool is_sampling = false;  // more samples are to come
     std::shared_ptr<const Film> film;
+    bool has_samples = true;  // the film
   };
   // null: the job does not exist.
   std::function<std::unique_ptr<JobView>(JobId)> view;
@@ -86,6 +88,7 @@ class PictureService {
     bool refine = false;  // somebody waits for the job's quality
     bool finish = false;
     bool removed = false;  // the job is
+    bool blank = false;    // without samples when last looked at, and no tile has changed since
     int64_t not_before_ms = 0;
     int64_t refine_at_ms = 0;  // unless more tiles change
     int64_t used_ms = 0;

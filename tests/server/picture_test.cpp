@@ -202,7 +202,8 @@ struct OneJob {
     source.view = [this](JobId) {
       std::lock_guard lock(mu);
       return std::make_unique<PictureSource::JobView>(
-          PictureSource::JobView{settings, film->CommittedEnd(), is_sampling, film});
+          PictureSource::JobView{settings, film->CommittedEnd(), is_sampling, film,
+                                 film->samples() > 0});
     };
     source.fold_tile = [](const Film& from, int64_t tile) { return from.Fold(tile); };
     source.on_picture = [this](const PictureEvent& event) {
@@ -277,6 +278,40 @@ TEST(PictureService, APreviewWaitsForASliceOnly) {
   service.Finish(1);
   finished.get_future().wait();
   EXPECT_EQ(order, (std::vector<JobId>{2, 1}));
+}
+
+// Thousands may be watched while they wait for their turn; each picture would be gigabytes.
+TEST(PictureService, AWatchedJobWithoutSamplesHasNoPicture) {
+  const v1::JobSettings settings = Settings("none");
+  OneJob job(settings);
+  job.is_sampling = false;  // paused
+  PictureSource source = job.Source();
+  std::promise<void> viewed, drawn;
+  std::once_flag first_view, first_fold;
+  std::atomic<int> folds = 0;
+  source.view = [&, view = source.view](JobId id) {
+    if (id == 1) std::call_once(first_view, [&] { viewed.set_value(); });
+    return view(id);
+  };
+  source.fold_tile = [&](const Film& film, int64_t tile) {
+    ++folds;
+    if (film.samples() > 0) std::call_once(first_fold, [&] { drawn.set_value(); });
+    return film.Fold(tile);
+  };
+  PictureService service(std::move(source), 1);
+  service.AddWatcher(1);
+  viewed.get_future().wait();
+  // Another job's round comes after that of job 1.
+  std::promise<void> done;
+  service.Fetch(2, false, [&](std::shared_ptr<const Picture>) { done.set_value(); });
+  done.get_future().wait();
+  EXPECT_EQ(folds, job.film->grid().num_tiles()) << "of job 2 only, which was asked for";
+  job.Grow(service,
+           std::make_shared<const Film>(
+               SyntheticFilm(1, TileGrid(RegionOf(settings), settings.tile_size()), 1)),
+           true);
+  EXPECT_EQ(drawn.get_future().wait_for(std::chrono::seconds(60)), std::future_status::ready);
+  service.Stop();
 }
 
 TEST(PictureService, LastPictureIsTheJobsAfterPreviews) {
