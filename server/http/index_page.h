@@ -54,12 +54,17 @@ function show(job) {
 }
 async function refresh() {
   try {
-    const list = await (await fetch("/jobs")).json();
-    const names = new Set((list.jobs || []).map(job => job.name));
+    const jobs = [];
+    for (let page, after = 0; !page || page.length > 0; ) {
+      page = (await (await fetch("/jobs?after=" + after)).json()).jobs || [];
+      jobs.push(...page);
+      if (page.length > 0) after = page[page.length - 1].name.slice("jobs/".length);
+    }
+    const names = new Set(jobs.map(job => job.name));
     for (const [name, figure] of figures) {
       if (!names.has(name)) { figure.remove(); figures.delete(name); }
     }
-    (list.jobs || []).forEach(show);
+    jobs.forEach(show);
   } catch (error) { console.log(error); }
   setTimeout(refresh, 1000);
 }
