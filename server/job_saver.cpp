@@ -111,7 +111,6 @@ absl::StatusOr<JobSaver::Snapshot> JobSaver::Read(JobId job) const {
     snapshot.record = *std::move(record);
     snapshot.request_id = c.RequestIdOf(job);
     snapshot.film = c.FilmOf(job);
-    snapshot.samples = snapshot.film == nullptr ? 0 : snapshot.film->samples();
     return absl::OkStatus();
   });
   if (!status.ok()) return status;
@@ -158,7 +157,12 @@ void JobSaver::Write(JobId job, Request request) {
     const bool with_film = request.film && snapshot->film != nullptr;
     if (with_film) status = WriteFilm(job, *snapshot->film);
     if (status.ok()) status = WriteRecord(job, *snapshot);
-    if (status.ok() && with_film) host_->Post(FilmStoredEvent{job, snapshot->samples});
+    if (status.ok() && with_film) {
+      // While samples come or go, what is stored may be of several moments.
+      const bool is_final =
+          HasEnded(snapshot->record) || snapshot->record.state() == v1::JOB_STATE_FINISHING;
+      host_->Post(FilmStoredEvent{job, is_final});
+    }
   }
   if (status.ok()) return;
   std::lock_guard lock(mu_);

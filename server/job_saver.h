@@ -49,7 +49,6 @@ class JobSaver {
     v1::Job record;
     std::string request_id;
     std::shared_ptr<const Film> film;  // null when it is on disk only
-    int64_t samples = 0;               // of `film`
   };
   void Run();
   // Waits until something is to be written, and takes it; false: stop.

@@ -73,10 +73,20 @@ absl::Status RestoreJobs(Catalogue& catalogue, const FilmStore& films, AssetStor
     if (!present.ok()) {
       ServerLog().warn("job={} {}", row.job, std::string(present.message()));
     }
+    const std::string version = event.job.version();
     const absl::Status status = host.Post(std::move(event)).status;
     if (!status.ok()) {
       assets.Release(row.job);
       ServerLog().error("job={} is left out: {}", row.job, std::string(status.message()));
+      continue;
+    }
+    const auto restored = host.Read([&](const Coordinator& c) { return c.GetJob(row.job); });
+    if (restored.ok() && restored->version() != version) {
+      // Before a row can say that the job is of this version.
+      films.Remove(row.job);
+      ServerLog().warn("job={} was begun by version {}, this is version {}, which may draw other "
+                       "bits: all its samples are rendered again",
+                       row.job, version, restored->version());
     }
   }
   const int orphans = films.RemoveAllBut(jobs);

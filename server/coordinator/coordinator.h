@@ -110,7 +110,9 @@ class Coordinator {
   void SetState(Job& job, v1::JobState state);
   void StartQueue(Job& job);
   void Finish(Job& job, v1::StopReason reason);
+  absl::Status CheckFirstFilm(const Job& job) const;
   void GoOn(Job& job);  // after a restart
+  bool StartOver(Job& job);
   void Fail(Job& job, const std::string& error);
   void StopWork(Job& job);
   void Touch(Job& job);

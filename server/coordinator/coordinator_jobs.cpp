@@ -115,6 +115,10 @@ void Coordinator::On(CreateJobEvent& event) {
         " MiB for films: render the frame in parts (settings.region)"));
     return;
   }
+  if (job->film->samples() > 0) {
+    result_.status = CheckFirstFilm(*job);
+    if (!result_.status.ok()) return;
+  }
   RememberRequest(event.request_id, "create", job->id);
   result_.job = job->id;
   result_.is_new = true;
@@ -128,6 +132,26 @@ void Coordinator::On(CreateJobEvent& event) {
   SetState(added, v1::JOB_STATE_QUEUED);
   StartQueue(added);
   Save(added, added.film->samples() > 0);
+}
+
+// Whether a new job may begin with the film that it was given.
+absl::Status Coordinator::CheckFirstFilm(const Job& job) const {
+  const v1::JobSettings& s = job.record.settings();
+  if (s.has_replay()) {
+    return absl::InvalidArgumentError(
+        "settings.replay: cannot be combined with continue_film_sha256: drop one of them");
+  }
+  int64_t samples_max = 0;
+  for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) {
+    samples_max = std::max(samples_max, job.film->CommittedEnd(tile));
+  }
+  if (samples_max > s.spp()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("settings.spp is ", s.spp(), ": the film has up to ", samples_max,
+                     " samples per pixel already: ask for at least as many"));
+  }
+  if (!FitsMemory(job)) return absl::ResourceExhaustedError(kFilmsFull);
+  return absl::OkStatus();
 }
 
 void Coordinator::On(RestoreJobEvent& event) {
@@ -174,10 +198,14 @@ void Coordinator::On(RestoreJobEvent& event) {
 
 void Coordinator::GoOn(Job& job) {
   const int64_t samples_before = job.record.progress().samples();
-  UpdateProgress(job);
+  job.record.clear_sample_counts();  // of the end of an earlier run, perhaps with a later film
   if (job.record.state() == v1::JOB_STATE_FINISHING) {
     const v1::StopReason reason = job.record.stop_reason();
+    if (reason == v1::STOP_REASON_CANCELLED) job.film->DropWaiting();
+    CountFilm(job);
     const bool is_whole = job.film->samples() == samples_before;
+    if (!is_whole) job.record.mutable_progress()->set_committed_spp(job.film->CommittedEnd());
+    UpdateProgress(job);
     if (job.film->samples() > 0 && (is_whole || reason == v1::STOP_REASON_CANCELLED)) {
       return Finish(job, reason);
     }
@@ -189,13 +217,37 @@ void Coordinator::GoOn(Job& job) {
     }
   }
   // Samples that the film has lost are rendered again, to the same end.
+  if (job.record.version() != config_.version && !StartOver(job)) return;
   if (job.record.state() != v1::JOB_STATE_PAUSED) SetState(job, v1::JOB_STATE_QUEUED);
   StartQueue(job);
 }
 
+// For a job of another version that lacks samples: this one may draw other bits, and one film must
+// not mix both (C2). Returns false if the job has failed.
+bool Coordinator::StartOver(Job& job) {
+  const v1::JobSettings& s = job.record.settings();
+  if (s.has_replay()) {
+    Fail(job, absl::StrCat("the server is version ", config_.version, " now and may draw other "
+                           "bits than version ", job.record.version(), ": replay it with that "
+                           "version"));
+    return false;
+  }
+  if (job.film->CommittedEnd() >= s.spp()) return true;
+  job.film = std::make_shared<Film>(job.grid);
+  CountFilm(job);
+  job.costs.clear();
+  job.spent_ms = 0;
+  const int64_t asset_bytes = job.record.progress().asset_bytes();
+  job.record.mutable_progress()->Clear();
+  job.record.mutable_progress()->set_asset_bytes(asset_bytes);
+  job.record.clear_scene();
+  job.record.set_version(config_.version);
+  return true;
+}
+
 void Coordinator::On(FilmStoredEvent& event) {
   Job* const job = FindJob(event.job);
-  if (job == nullptr || job->queue != nullptr || event.samples != job->film->samples()) return;
+  if (job == nullptr || !event.is_final) return;
   job->film_final_stored = true;
   DropStoredFilm(*job);
 }

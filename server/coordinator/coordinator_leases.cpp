@@ -9,7 +9,7 @@
 namespace tessera {
 namespace {
 
-// Jobs of one priority that share the workers; later ones wait their turn.
+// Jobs of one priority that share the workers; later ones wait until these hand out nothing.
 constexpr size_t kSharingJobsMax = 8;
 constexpr int64_t kAssetRetryMs = 5000;
 constexpr int64_t kMemoryUnit = int64_t{1} << 20;
@@ -207,12 +207,8 @@ bool Coordinator::GrantOne(Worker& worker) {
   for (auto it = order_.begin(); it != order_.end();) {
     const int priority = it->first;
     sharing.clear();
-    for (; it != order_.end() && it->first == priority; ++it) {
+    for (; it != order_.end() && it->first == priority && sharing.size() < kSharingJobsMax; ++it) {
       Job& job = *jobs_.at(it->second);
-      if (sharing.size() == kSharingJobsMax) {
-        it = order_.lower_bound({priority + 1, 0});
-        break;
-      }
       if (!CanServe(worker, job) || (!room && !job.holds_film)) continue;
       if (FitsMemory(job)) {
         sharing.push_back(&job);
@@ -388,7 +384,7 @@ std::string Coordinator::ReasonOfWorkers(const Job& job) const {
     }
   }
   if (able && !FitsMemory(job)) {
-    return "the server's memory for films is full: delete finished jobs, or cancel paused ones";
+    return kFilmsFull;
   }
   if (able) return "all workers are busy with jobs that come first";
   if (failing > 0) return absl::StrCat("a worker could not fetch an asset: ", job.last_decline);

@@ -17,6 +17,9 @@ inline int64_t FilmBytesOf(const TileGrid& grid) {
   return grid.region().area() * 520 + grid.num_tiles() * 1024;
 }
 
+inline constexpr char kFilmsFull[] =
+    "the server's memory for films is full: delete finished jobs, or cancel paused ones";
+
 // The text's first `bytes_max` bytes, less a character that they would cut: a record with half a
 // character could not be read back.
 inline std::string CutText(const std::string& text, size_t bytes_max) {

@@ -48,10 +48,10 @@ struct RestoreJobEvent {
   std::vector<TileCost> costs{};   // of the film, by tile; empty = unknown
   std::string failure{};           // why a job that has not ended cannot go on; empty = it can
 };
-// The film was written to disk, with at least the `samples` that it had when that began.
+// The film was written to disk.
 struct FilmStoredEvent {
   JobId job = 0;
-  int64_t samples = 0;
+  bool is_final = false;  // the job had all its samples when that began: what is stored is its end
 };
 
 // Workers.

@@ -91,12 +91,55 @@ TEST(CoordinatorBounds, JobsWaitForRoomForTheirFilmsInTheirOrder) {
   farm.RunAll();
   EXPECT_EQ(farm.Job(first).state(), v1::JOB_STATE_DONE);
   EXPECT_TRUE(farm.workers[worker].leases.empty());
-  farm.Post(FilmStoredEvent{first, 4 * 190});  // on disk now: its memory is free
+  farm.Post(FilmStoredEvent{first, /*is_final=*/true});  // on disk now: its memory is free
   farm.RunAll();
   EXPECT_EQ(farm.Job(second).state(), v1::JOB_STATE_DONE);
   ASSERT_TRUE(farm.Command(JobCommand::kDelete, second).ok());
   farm.RunAll();
   EXPECT_EQ(farm.Job(third).state(), v1::JOB_STATE_DONE);
+}
+
+TEST(CoordinatorBounds, FilmsThatJobsBeginWithFitIntoMemoryAndBudget) {
+  CoordinatorConfig config = SmallConfig();
+  config.film_bytes_max = 2 * (19 * 10 * 520 + 6 * 1024);
+  SimulatedFarm farm(config);
+  v1::JobSettings settings = SmallSettings(16);
+  const auto begin_with = [&](int64_t spp) {
+    const TileGrid grid(RegionOf(settings), settings.tile_size());
+    return farm
+        .Post(CreateJobEvent{.settings = settings,
+                             .film = std::make_shared<Film>(SyntheticFilm(0, grid, spp))})
+        .status;
+  };
+  EXPECT_TRUE(begin_with(8).ok());
+  const absl::Status too_long = begin_with(32);
+  EXPECT_TRUE(absl::IsInvalidArgument(too_long));
+  EXPECT_TRUE(absl::StrContains(too_long.message(), "32")) << too_long;
+  EXPECT_TRUE(begin_with(8).ok());
+  const absl::Status third = begin_with(8);
+  EXPECT_TRUE(absl::IsResourceExhausted(third));
+  EXPECT_TRUE(absl::StrContains(third.message(), "delete finished jobs")) << third;
+  v1::Replay& replay = *settings.mutable_replay();
+  replay.set_version("1.2.3");
+  replay.mutable_counts()->set_tile_size(8);
+  replay.mutable_counts()->add_run_tiles(6);
+  replay.mutable_counts()->add_run_samples(4);
+  EXPECT_TRUE(absl::IsInvalidArgument(begin_with(2)));
+}
+
+// Those that share may all wait, for a picture or a slow worker: later ones have work.
+TEST(CoordinatorBounds, ManyJobsThatHaveNothingToHandOutKeepNoWorkerIdle) {
+  SimulatedFarm farm;
+  farm.answer_pictures = false;
+  v1::JobSettings settings = SmallSettings(1024);
+  settings.set_target_error(0.1);
+  for (int i = 0; i < 12; ++i) farm.Create(settings);
+  const JobId last = farm.Create(SmallSettings(4));
+  farm.Connect(4);
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(1).progress().committed_spp(), 8) << "waits for its picture";
+  EXPECT_EQ(farm.Job(12).progress().committed_spp(), 8);
+  EXPECT_EQ(farm.Job(last).state(), v1::JOB_STATE_FINISHING);
 }
 
 TEST(CoordinatorBounds, ThousandsOfQueuedJobsOfManyTilesCostNothingBeforeTheyStart) {

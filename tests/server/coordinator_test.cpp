@@ -9,11 +9,6 @@
 namespace tessera {
 namespace {
 
-std::string ExpectedDigest(const v1::JobSettings& s, int64_t spp) {
-  const TileGrid grid(RegionOf(s), s.tile_size());
-  return ToBytes(SyntheticFilm(s.seed(), grid, spp).Digest());
-}
-
 TEST(Coordinator, OneWorkerRendersEverySampleOnce) {
   for (const int64_t spp : {1, 2, 3, 16, 21}) {
     SimulatedFarm farm;

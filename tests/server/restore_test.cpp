@@ -66,6 +66,7 @@ class RestoreTest : public testing::Test {
     job.set_name(JobName(id));
     *job.mutable_settings() = *CompleteSettings(settings_, SmallConfig().defaults);
     job.set_state(state);
+    job.set_version(SmallConfig().version);
     job.mutable_progress()->set_samples(8 * kPixels);
     job.mutable_progress()->set_rays(999999);
     return job;
@@ -162,6 +163,23 @@ TEST_F(RestoreTest, AJobThatWasFinishingWithALaterFilmRendersTheRest) {
   EXPECT_EQ(run_->Job(2).state(), v1::JOB_STATE_FINISHING);
   EXPECT_EQ(run_->Job(3).state(), v1::JOB_STATE_FINISHING) << "a cancelled job goes on no more";
   EXPECT_EQ(run_->Job(4).state(), v1::JOB_STATE_CANCELLED);
+}
+
+TEST_F(RestoreTest, AnotherVersionsSamplesLeaveTheDisk) {
+  v1::Job record = Record(1);
+  record.set_version("1.2.2");
+  PutRow(1, record.SerializeAsString());
+  PutFilm(1, 8);
+  record.set_name("jobs/2");
+  record.set_state(v1::JOB_STATE_DONE);
+  PutRow(2, record.SerializeAsString());
+  PutFilm(2, 16);
+  ASSERT_TRUE(run_->Restore().ok());
+  EXPECT_EQ(run_->Job(1).version(), SmallConfig().version);
+  EXPECT_EQ(run_->Job(1).progress().samples(), 0);
+  EXPECT_FALSE(std::filesystem::exists(FilmPath(1))) << "the next start would take it for its own";
+  EXPECT_EQ(run_->Job(2).version(), "1.2.2");
+  EXPECT_TRUE(std::filesystem::exists(FilmPath(2)));
 }
 
 TEST_F(RestoreTest, MaxTimeGoesOnWhereItWas) {

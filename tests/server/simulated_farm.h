@@ -38,6 +38,11 @@ inline CoordinatorConfig SmallConfig() {
   return config;
 }
 
+inline std::string ExpectedDigest(const v1::JobSettings& s, int64_t spp) {
+  const TileGrid grid(RegionOf(s), s.tile_size());
+  return ToBytes(SyntheticFilm(s.seed(), grid, spp).Digest());
+}
+
 class SimulatedFarm {
  public:
   explicit SimulatedFarm(CoordinatorConfig config = SmallConfig()) : coordinator(config) {}

@@ -1,0 +1,127 @@
+// What a coordinator makes of a job that another run, or another version, has left behind.
+#include <gtest/gtest.h>
+
+#include "absl/strings/match.h"
+#include "tests/server/simulated_farm.h"
+
+namespace tessera {
+namespace {
+
+std::shared_ptr<Film> CopyOfFilm(const SimulatedFarm& farm, JobId job) {
+  return std::make_shared<Film>(*farm.coordinator.FilmOf(job));
+}
+
+// As a run has left a job of 16 samples after so many deltas.
+RestoreJobEvent LeftAfter(int deltas, JobCommand command = JobCommand::kResume) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(16));
+  const SessionId worker = farm.Connect();
+  for (int i = 0; i < deltas; ++i) EXPECT_TRUE(farm.RenderOne(worker));
+  EXPECT_TRUE(farm.Command(command, job).ok());
+  return {.job = farm.Job(job), .request_id = "", .film = CopyOfFilm(farm, job)};
+}
+
+CoordinatorConfig NextVersion() {
+  CoordinatorConfig config = SmallConfig();
+  config.version = "1.2.4";
+  return config;
+}
+
+// C2: the film's samples are of other bits than those that this version would add.
+TEST(CoordinatorRestore, AnotherVersionStartsOver) {
+  for (const JobCommand command : {JobCommand::kResume, JobCommand::kPause}) {
+    RestoreJobEvent event = LeftAfter(15, command);
+    event.costs.resize(6, {.rays = 5});
+    event.job.mutable_progress()->mutable_work_time()->set_seconds(9);
+    SimulatedFarm after(NextVersion());
+    const JobId job = after.Post(std::move(event)).job;
+    EXPECT_EQ(after.Job(job).version(), "1.2.4");
+    EXPECT_EQ(after.Job(job).progress().samples(), 0);
+    EXPECT_EQ(after.Job(job).progress().rays(), 0);
+    EXPECT_EQ(after.Job(job).progress().work_time().seconds(), 0);
+    EXPECT_EQ(after.coordinator.FilmOf(job)->samples(), 0);
+    EXPECT_EQ(after.Job(job).state() == v1::JOB_STATE_PAUSED, command == JobCommand::kPause);
+  }
+  SimulatedFarm same;
+  const JobId job = same.Post(LeftAfter(15)).job;
+  EXPECT_GT(same.Job(job).progress().samples(), 0);
+}
+
+TEST(CoordinatorRestore, AnotherVersionFinishesWhatIsWhole) {
+  SimulatedFarm before;
+  const JobId job = before.Create(SmallSettings(16));
+  before.Connect();
+  before.answer_pictures = false;
+  before.RunAll();
+  ASSERT_EQ(before.Job(job).state(), v1::JOB_STATE_FINISHING);
+  for (const v1::JobState state : {v1::JOB_STATE_FINISHING, v1::JOB_STATE_RUNNING}) {
+    RestoreJobEvent event{.job = before.Job(job), .request_id = "",
+                          .film = CopyOfFilm(before, job)};
+    event.job.set_state(state);
+    SimulatedFarm after(NextVersion());
+    after.Post(std::move(event));
+    EXPECT_EQ(after.Job(job).state(), v1::JOB_STATE_DONE);
+    EXPECT_EQ(after.Job(job).version(), "1.2.3") << "whose bits these are";
+    EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(SmallSettings(16), 16));
+  }
+}
+
+TEST(CoordinatorRestore, AReplayOfAnotherVersionFailsWithTheRemedy) {
+  RestoreJobEvent event = LeftAfter(15);
+  v1::Replay& replay = *event.job.mutable_settings()->mutable_replay();
+  replay.set_version("1.2.3");
+  replay.mutable_counts()->set_tile_size(8);
+  replay.mutable_counts()->add_run_tiles(6);
+  replay.mutable_counts()->add_run_samples(16);
+  SimulatedFarm after(NextVersion());
+  const JobId job = after.Post(std::move(event)).job;
+  EXPECT_EQ(after.Job(job).state(), v1::JOB_STATE_FAILED);
+  EXPECT_TRUE(absl::StrContains(after.Job(job).error(), "1.2.3")) << after.Job(job).error();
+}
+
+// The record was written, its film was not: what it says is what the older film has.
+TEST(CoordinatorRestore, ACancelledJobTellsWhatItsOlderFilmHas) {
+  RestoreJobEvent event;
+  for (int deltas = 12; !event.job.has_sample_counts(); ++deltas) {
+    event = LeftAfter(deltas, JobCommand::kCancel);
+  }
+  event.job.set_state(v1::JOB_STATE_FINISHING);
+  event.job.clear_digest();
+  event.job.mutable_progress()->set_committed_spp(8);
+  const TileGrid grid(RegionOf(event.job.settings()), 8);
+  const v1::Job record = event.job;
+
+  event.film = std::make_shared<Film>(SyntheticFilm(0, grid, 2));
+  SimulatedFarm even;
+  const JobId job = even.Post(std::move(event)).job;
+  EXPECT_EQ(even.Job(job).state(), v1::JOB_STATE_CANCELLED);
+  EXPECT_EQ(even.Job(job).progress().committed_spp(), 2);
+  EXPECT_FALSE(even.Job(job).has_sample_counts());
+  EXPECT_EQ(even.Job(job).digest(), ExpectedDigest(SmallSettings(16), 2));
+
+  // A film of nothing but samples beyond a gap has none that could be shown.
+  auto gap = std::make_shared<Film>(grid);
+  ASSERT_TRUE(gap->Accept(0, SyntheticTile(0, grid.WindowOf(0), {2, 4})).ok());
+  SimulatedFarm empty;
+  empty.Post(RestoreJobEvent{.job = record, .request_id = "", .film = gap});
+  EXPECT_EQ(empty.Job(job).state(), v1::JOB_STATE_CANCELLED);
+  EXPECT_EQ(empty.Job(job).digest(), "");
+  EXPECT_EQ(empty.Job(job).progress().samples(), 0);
+  EXPECT_FALSE(empty.Job(job).has_sample_counts());
+}
+
+// A checkpoint that began before the end holds several moments, whatever its number of samples.
+TEST(CoordinatorRestore, AFilmStaysInMemoryUntilItsEndIsStored) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(16));
+  farm.Connect();
+  farm.RunAll();
+  ASSERT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
+  farm.Post(FilmStoredEvent{job, /*is_final=*/false});
+  EXPECT_NE(farm.coordinator.FilmOf(job), nullptr);
+  farm.Post(FilmStoredEvent{job, /*is_final=*/true});
+  EXPECT_EQ(farm.coordinator.FilmOf(job), nullptr);
+}
+
+}  // namespace
+}  // namespace tessera
