@@ -259,10 +259,12 @@ TEST_F(ServiceTest, ALostFilmIsSaidToBeLost) {
 
 TEST(ServiceStart, RefusesPlaintextToTheWorldAndPortsInUse) {
   ServiceOptions options;
-  options.listen = "0.0.0.0:0";
-  const absl::Status plaintext = Service::Start(options).status();
-  EXPECT_TRUE(absl::IsInvalidArgument(plaintext));
-  EXPECT_NE(plaintext.message().find("--insecure"), absl::string_view::npos);
+  for (const char* const address : {"0.0.0.0:0", "127.example.com:0", "localhost.example.com:0"}) {
+    options.listen = address;
+    const absl::Status plaintext = Service::Start(options).status();
+    EXPECT_TRUE(absl::IsInvalidArgument(plaintext)) << plaintext;
+    EXPECT_NE(plaintext.message().find("--insecure"), absl::string_view::npos);
+  }
   options.listen = "127.0.0.1:0";
   const auto first = Service::Start(options);
   ASSERT_TRUE(first.ok());
