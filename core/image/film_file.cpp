@@ -223,6 +223,7 @@ class FilmReader {
     absl::Status status = CheckVersion(path_, metadata);
     if (!status.ok()) return status;
     film.settings = TextOf(metadata, kSettingsKey);
+    film.version = TextOf(metadata, "version");
     status = FindGroups();
     if (status.ok()) status = ForEachBand([this](const Band& band) { return FindNodes(band); });
     if (status.ok()) status = MakeNodes(&film);

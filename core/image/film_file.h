@@ -27,6 +27,9 @@ struct FilmFile {
   PixelRect region;                   // the data window
   PixelRect frame;                    // the display window
   std::vector<TileStatistics> nodes;  // ascending by range, then as they were written
+  // The metadata `version` of the picture: of the program that rendered it; empty = unknown. Read,
+  // not written.
+  std::string version{};
 };
 
 // Different sample ranges in one file; a film that was cut short at any point has a few dozen.

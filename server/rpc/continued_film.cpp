@@ -105,9 +105,17 @@ std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid) {
 }
 
 absl::StatusOr<std::shared_ptr<Film>> ReadContinuedFilm(const std::string& path,
-                                                        const v1::JobSettings& job) {
+                                                        const v1::JobSettings& job,
+                                                        const std::string& version) {
   const absl::StatusOr<FilmFile> file = ReadFilmFile(path);
   if (!file.ok()) return file.status();
+  if (file->version != version) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "continue_film_sha256: the film was rendered by ",
+        file->version.empty() ? "an unknown version" : "version " + file->version.substr(0, 64),
+        ", this is version ", version, ", which may draw other bits: continue it with the version "
+        "that rendered it, or render anew"));
+  }
   v1::JobSettings settings;
   const auto parsed = google::protobuf::util::JsonStringToMessage(file->settings, &settings);
   if (!parsed.ok() || settings.width() < 1) {

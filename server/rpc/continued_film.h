@@ -20,8 +20,10 @@ absl::Status CheckSameSamples(const v1::JobSettings& film, const v1::JobSettings
 // beyond, of a file cut into other tiles, are left out: rendering them again gives the same bits.
 std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid);
 
-// Reads the file at `path`. Errors: those, and as ReadFilmFile.
+// Reads the file at `path`; `version`: this program's, other versions may draw other bits (C2).
+// Errors: those; INVALID_ARGUMENT naming the film's version if it is another; as ReadFilmFile.
 absl::StatusOr<std::shared_ptr<Film>> ReadContinuedFilm(const std::string& path,
-                                                        const v1::JobSettings& job);
+                                                        const v1::JobSettings& job,
+                                                        const std::string& version);
 
 }  // namespace tessera

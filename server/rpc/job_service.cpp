@@ -3,6 +3,7 @@
 #include <charconv>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/version.h"
 #include "server/coordinator/limits.h"
 #include "server/log.h"
 #include "server/rpc/continued_film.h"
@@ -83,7 +84,7 @@ absl::StatusOr<std::shared_ptr<Film>> JobService::ReadFilm(const std::string& sh
   if (absl::Status status = assets_.CheckPresent({*digest}); !status.ok()) return status;
   const absl::StatusOr<StoredFile> file = assets_.OpenFile(*digest);
   if (!file.ok()) return file.status();
-  return ReadContinuedFilm(file->path(), settings);
+  return ReadContinuedFilm(file->path(), settings, kVersion);
 }
 
 absl::Status JobService::Get(const std::string& name, v1::Job* response) const {

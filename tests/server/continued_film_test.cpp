@@ -1,7 +1,11 @@
 #include "server/rpc/continued_film.h"
 
+#include <filesystem>
+
+#include <google/protobuf/util/json_util.h>
 #include <gtest/gtest.h>
 
+#include "server/coordinator/job_settings.h"
 #include "tests/server/simulated_farm.h"
 
 namespace tessera {
@@ -33,6 +37,36 @@ TEST(CutFilm, KeepsWhatAllPixelsOfATileHave) {
   EXPECT_EQ(CutFilm(file, TileGrid(region, 8))->CommittedEnd(0), 8);
   EXPECT_EQ(CutFilm(file, TileGrid(region, 8))->CommittedEnd(1), 4);
   EXPECT_EQ(CutFilm(file, TileGrid(region, 16))->CommittedEnd(), 4);
+}
+
+// C2: one film must not mix the bits of two versions.
+TEST(ReadContinuedFilm, TakesFilmsOfItsVersionOnly) {
+  const v1::JobSettings settings = *CompleteSettings(SmallSettings(4), SmallConfig().defaults);
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  const Film film = SyntheticFilm(1, grid, 4);
+  FilmFile file;
+  ASSERT_TRUE(google::protobuf::util::MessageToJsonString(settings, &file.settings).ok());
+  for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
+    for (const TileStatistics& node : film.Nodes(tile)) file.nodes.push_back(node);
+  }
+  Image picture;
+  picture.data_window = picture.display_window = grid.region();
+  picture.Add("Z", std::vector<float>(static_cast<size_t>(grid.region().area())));
+  const std::string path =
+      testing::TempDir() + "/continued-" + std::to_string(::getpid()) + ".exr";
+  ASSERT_TRUE(WriteFilmFile(path, file, picture).ok());
+  const absl::Status unknown = ReadContinuedFilm(path, settings, "1.2.3").status();
+  EXPECT_TRUE(absl::IsInvalidArgument(unknown));
+  picture.metadata["version"] = "1.2.3";
+  ASSERT_TRUE(WriteFilmFile(path, file, picture).ok());
+  const auto same = ReadContinuedFilm(path, settings, "1.2.3");
+  ASSERT_TRUE(same.ok()) << same.status();
+  EXPECT_EQ((*same)->Digest(), film.Digest());
+  const absl::Status other = ReadContinuedFilm(path, settings, "1.2.4").status();
+  EXPECT_TRUE(absl::IsInvalidArgument(other));
+  EXPECT_NE(other.message().find("version 1.2.3, this is version 1.2.4"), absl::string_view::npos)
+      << other;
+  std::filesystem::remove(path);
 }
 
 TEST(CheckSameSamples, NamesWhatDiffers) {
