@@ -6,6 +6,7 @@
 #include <limits>
 #include <utility>
 
+#include "core/base/check.h"
 #include "worker/integrator/onb.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/ray_offset.h"
@@ -46,7 +47,7 @@ std::unique_ptr<LightGuide> LightGuide::Learn(const Parts& parts) {
   const double variance = square.x + square.y + square.z;
   guide->position_scale_ = variance > 0 ? static_cast<float>(1 / variance) : 0.f;
   guide->nodes_.emplace_back();
-  guide->Split(0, &points, 0, points.size());
+  guide->Split(0, 0, &points, 0, points.size());
   for (const auto& [begin, end] : guide->region_points_) {
     guide->regions_.push_back(LearnRegion(parts, std::span(points).subspan(begin, end - begin)));
   }
@@ -84,9 +85,11 @@ std::vector<LightGuide::Point> LightGuide::TracePaths(const Parts& parts) {
   return points;
 }
 
-void LightGuide::Split(uint32_t node, std::vector<Point>* points, size_t begin, size_t end) {
+void LightGuide::Split(uint32_t node, int depth, std::vector<Point>* points, size_t begin,
+                       size_t end) {
+  depth_ = std::max(depth_, depth);
   const auto make_leaf = [&] {
-    nodes_[node] = {0, -1, static_cast<uint32_t>(region_points_.size())};
+    nodes_[node] = {0, 0, 0, node, static_cast<uint32_t>(region_points_.size())};
     region_points_.emplace_back(begin, end);
   };
   if (end - begin <= kRegionPoints) return make_leaf();
@@ -117,10 +120,10 @@ void LightGuide::Split(uint32_t node, std::vector<Point>* points, size_t begin, 
   const size_t at = static_cast<size_t>(middle - points->begin());
   if (at == begin || at == end) return make_leaf();
   const uint32_t child = static_cast<uint32_t>(nodes_.size());
-  nodes_[node] = {split, axis, child};
+  nodes_[node] = {split, static_cast<uint16_t>(axis), 1, child, 0};
   nodes_.resize(nodes_.size() + 2);
-  Split(child, points, begin, at);
-  Split(child + 1, points, at, end);
+  Split(child, depth + 1, points, begin, at);
+  Split(child + 1, depth + 1, points, at, end);
 }
 
 LightGuide::Region LightGuide::LearnRegion(const Parts& parts, std::span<const Point> points) {
@@ -203,15 +206,36 @@ double LightGuide::Irradiance(const Parts& parts, LightGroup group, std::span<co
   return sum / (kLightSamples * static_cast<double>(points.size()));
 }
 
-const LightGuide::Region* LightGuide::At(const V3f& position, const V3f& normal) const {
-  if (regions_.empty()) return nullptr;
-  const float coordinates[kAxes] = {position.x, position.y, position.z,
-                                    normal.x,   normal.y,   normal.z};
-  const Node* node = nodes_.data();
-  while (node->axis >= 0) {
-    node = &nodes_[node->child + (coordinates[node->axis] < node->split ? 0 : 1)];
+void LightGuide::At(std::span<const Place> places, std::span<const Region*> regions) const {
+  TESSERA_CHECK(places.size() <= kPlacesMax && regions.size() == places.size());
+  if (regions_.empty()) {
+    std::fill(regions.begin(), regions.end(), nullptr);
+    return;
   }
-  return &regions_[node->child];
+  const size_t count = places.size();
+  float coordinates[kPlacesMax][kAxes];
+  uint32_t nodes[kPlacesMax] = {};
+  for (size_t i = 0; i < count; ++i) {
+    for (int axis = 0; axis < 3; ++axis) {
+      coordinates[i][axis] = places[i].position[axis];
+      coordinates[i][3 + axis] = places[i].normal[axis];
+    }
+  }
+  for (int level = 0; level < depth_; ++level) {
+    for (size_t i = 0; i < count; ++i) {
+      const Node& node = nodes_[nodes[i]];
+      const uint32_t above = coordinates[i][node.axis] < node.split ? 0u : 1u;
+      nodes[i] = node.child + above * node.step;
+    }
+  }
+  for (size_t i = 0; i < count; ++i) regions[i] = &regions_[nodes_[nodes[i]].region];
+}
+
+const LightGuide::Region* LightGuide::At(const V3f& position, const V3f& normal) const {
+  const Place place{position, normal};
+  const Region* region;
+  At({&place, 1}, {&region, 1});
+  return region;
 }
 
 int64_t LightGuide::memory_bytes() const {

@@ -40,8 +40,13 @@ class LightGuide {
     bool open = true;  // all of the sky is seen
     LightShares shares;
   };
-  // What holds about a point whose geometric normal (unit, on the receiver's side) is `normal`;
-  // null if the pilot met nothing.
+  struct Place {
+    V3f position;
+    V3f normal;  // geometric, unit, on the receiver's side
+  };
+  // What holds about each of at most kPlacesMax places, one region each; null if the pilot met
+  // nothing. All go down the tree together, which hides its latency.
+  void At(std::span<const Place> places, std::span<const Region*> regions) const;
   const Region* At(const V3f& position, const V3f& normal) const;
 
   int64_t memory_bytes() const;
@@ -49,6 +54,7 @@ class LightGuide {
   int num_regions() const { return static_cast<int>(regions_.size()); }
 
   static constexpr int kPointsMax = 4096;
+  static constexpr size_t kPlacesMax = 16;
 
  private:
   struct Point {
@@ -56,19 +62,23 @@ class LightGuide {
     V3f normal;    // geometric, unit, on the side of the pilot's path
     float Coordinate(int axis) const { return axis < 3 ? position[axis] : normal[axis - 3]; }
   };
-  // Of a k-d tree over positions (axes 0-2) and normals (3-5).
+  // Of a k-d tree over positions (axes 0-2) and normals (3-5). A leaf's children are itself: every
+  // way down has as many steps.
   struct Node {
     float split;
-    int32_t axis;    // -1: a leaf
-    uint32_t child;  // the first of two; of a leaf: its region
+    uint16_t axis;
+    uint16_t step;  // from the child below `split` to the other: 1; of a leaf 0
+    uint32_t child;
+    uint32_t region;  // of a leaf
   };
   static std::vector<Point> TracePaths(const Parts& parts);
-  void Split(uint32_t node, std::vector<Point>* points, size_t begin, size_t end);
+  void Split(uint32_t node, int depth, std::vector<Point>* points, size_t begin, size_t end);
   static Region LearnRegion(const Parts& parts, std::span<const Point> points);
   static void LearnSky(const Parts& parts, std::span<const Point> points, Region* region);
   static double Irradiance(const Parts& parts, LightGroup group, std::span<const Point> points);
 
   float position_scale_ = 0;  // 1/m^2: over the variance of all positions
+  int depth_ = 0;             // steps to any leaf
   std::vector<Node> nodes_;
   std::vector<Region> regions_;
   std::vector<std::pair<size_t, size_t>> region_points_;  // while learning

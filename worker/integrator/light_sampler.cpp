@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 
+#include "core/base/check.h"
 #include "worker/integrator/cumulative_distribution.h"
 #include "worker/integrator/light_guide.h"
 #include "worker/integrator/portable_math.h"
@@ -156,15 +157,35 @@ LightBounds LightSampler::TriangleBounds(uint32_t instance, uint32_t triangle, f
   return bounds;
 }
 
-void LightSampler::Look(const Surface& surface, bool transmits, LightView* view,
-                        LightWeights* weights) const {
-  view->receiver = {surface.position, surface.shading_normal, transmits};
-  const LightGuide::Region* region =
-      guide_ != nullptr ? guide_->At(surface.position, surface.geometric_normal) : nullptr;
-  view->shares = region != nullptr ? region->shares : static_shares_;
-  if (!has_group(kEnvironmentGroup)) return;
-  const SkyVisibility* visibility = region != nullptr && !region->open ? &region->sky : nullptr;
-  environment_->Look(surface.shading_normal, transmits, visibility, &view->sky, weights);
+void LightSampler::Look(std::span<LightLook> looks) const {
+  TESSERA_CHECK(looks.size() <= kLooksMax);
+  std::array<const LightGuide::Region*, kLooksMax> regions = {};
+  if (guide_ != nullptr) {
+    std::array<LightGuide::Place, kLooksMax> places;
+    for (size_t i = 0; i < looks.size(); ++i) {
+      places[i] = {looks[i].surface->position, looks[i].surface->geometric_normal};
+    }
+    guide_->At({places.data(), looks.size()}, {regions.data(), looks.size()});
+  }
+  const bool has_sky = has_group(kEnvironmentGroup);
+  for (size_t i = 0; i < looks.size(); ++i) {
+    const LightGuide::Region* region = regions[i];
+    const V3f& normal = looks[i].surface->shading_normal;
+    const bool transmits = looks[i].transmits;
+    LightView* view = looks[i].view;
+    view->receiver = {looks[i].surface->position, normal, transmits};
+    view->shares = region != nullptr ? region->shares : static_shares_;
+    if (!has_sky) continue;
+    // Samples of a pixel often look from the same plane.
+    if (i > 0 && region == regions[i - 1] && transmits == looks[i - 1].transmits &&
+        normal == looks[i - 1].surface->shading_normal) {
+      view->sky = looks[i - 1].view->sky;
+      looks[i].weights = looks[i - 1].weights;
+      continue;
+    }
+    const SkyVisibility* visibility = region != nullptr && !region->open ? &region->sky : nullptr;
+    environment_->Look(normal, transmits, visibility, &view->sky, looks[i].weights);
+  }
 }
 
 bool LightSampler::Sample(const LightView& view, const LightWeights& weights, float u_choice,

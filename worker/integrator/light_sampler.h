@@ -8,6 +8,7 @@
 
 #include <array>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "worker/integrator/environment_sampler.h"
@@ -45,6 +46,14 @@ struct LightView {
 };
 using LightWeights = SkyWeights;
 
+// A view to be made. `weights` is storage for the view's; replaced by another's if they are equal.
+struct LightLook {
+  const Surface* surface;
+  bool transmits;  // light from behind the surface counts too
+  LightView* view;
+  LightWeights* weights;
+};
+
 class LightSampler {
  public:
   // `environment` may be null; `scene_radius` bounds the geometry, metres. Borrows all.
@@ -61,8 +70,9 @@ class LightSampler {
   bool has_extended_lights() const { return extended_; }
   int64_t memory_bytes() const;
 
-  // The view from a surface; `transmits`: light from behind it counts too.
-  void Look(const Surface& receiver, bool transmits, LightView* view, LightWeights* weights) const;
+  // Makes the views from surfaces, at most kLooksMax at once.
+  static constexpr size_t kLooksMax = 16;
+  void Look(std::span<LightLook> looks) const;
   // False if the choice lights nothing here. u_choice and u in [0, 1).
   bool Sample(const LightView& view, const LightWeights& weights, float u_choice, const V2f& u,
               LightSample* sample) const;

@@ -247,14 +247,20 @@ void PathWalker::AddEmission(PathState* path) const {
 void PathWalker::Illuminate(Batch* batch) const {
   batch->lit.Clear();
   if (parts_.lights.empty()) return;
+  static_assert(kPathsMax <= LightSampler::kLooksMax);
   std::array<LightWeights, kPathsMax> weights;
+  std::array<LightLook, kPathsMax> looks;
+  size_t num_looks = 0;
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
-    parts_.lights.Look(*path.surface, path.bsdf->transmits(), &path.view, &weights[i]);
+    looks[num_looks] = {&*path.surface, path.bsdf->transmits(), &path.view, &weights[num_looks]};
+    ++num_looks;
   }
+  parts_.lights.Look({looks.data(), num_looks});
   Batch::List facing;
+  const LightLook* look = looks.data();
   for (int i : batch->met) {
-    if (SampleLight(weights[i], &batch->paths[i])) facing.Add(i);
+    if (SampleLight(*(look++)->weights, &batch->paths[i])) facing.Add(i);
   }
   for (int i : facing) {
     PathState& path = batch->paths[i];

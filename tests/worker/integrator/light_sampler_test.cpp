@@ -22,7 +22,8 @@ FullView ViewFrom(const OpenTracer& tracer, const V3f& position, const V3f& norm
   surface.position = position;
   surface.geometric_normal = surface.shading_normal = normal;
   FullView view;
-  tracer.lights().Look(surface, false, &view, &view.weights);
+  LightLook look{&surface, false, &view, &view.weights};
+  tracer.lights().Look({&look, 1});
   return view;
 }
 
