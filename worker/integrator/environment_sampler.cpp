@@ -218,7 +218,7 @@ V3f EnvironmentSampler::RadianceAt(const V2f& uv) const {
   const float x = uv.x * light_.width - 0.5f, y = uv.y * light_.height - 0.5f;
   const float left = std::floor(x), top = std::floor(y);
   const float fx = x - left, fy = y - top;
-  const int x0 = (static_cast<int>(left) + light_.width) % light_.width;
+  const int x0 = left < 0 ? light_.width - 1 : static_cast<int>(left);
   const int x1 = x0 + 1 == light_.width ? 0 : x0 + 1;
   const int y0 = std::max(static_cast<int>(top), 0);
   const int y1 = std::min(static_cast<int>(top) + 1, light_.height - 1);
