@@ -33,6 +33,9 @@ enum : uint32_t {
 // its throughput costs more in variance than it saves in time (measured, docs/path-tracer.md).
 constexpr int kRouletteStart = 1;
 constexpr float kRouletteScale = 1.2f;
+// Of lights with an extent, at the first surface: two samples share its camera ray.
+constexpr int kFirstLightSamples = 2;
+static_assert(kRouletteStart > 0 && kFirstLightSamples <= 2, "of the numbers of the first bounce");
 // Paths through more surfaces than this end, whatever max_depth says.
 constexpr int kDepthLimit = 1024;
 
@@ -109,6 +112,10 @@ struct PathWalker::Batch {
 PathWalker::PathWalker(const Parts& parts)
     : parts_(parts), max_depth_(std::min(parts.max_depth, kDepthLimit)) {}
 
+int PathWalker::NumLightSamples(int depth) const {
+  return depth == 0 && parts_.lights.has_extended_lights() ? kFirstLightSamples : 1;
+}
+
 float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) const {
   if (parts_.strategy != LightStrategy::kBoth && other_pdf > 0) {
     return parts_.strategy == own ? 1.f : 0.f;
@@ -163,6 +170,7 @@ void PathWalker::AddEscaped(PathState* path) const {
   }
   float light_pdf;
   const V3f radiance = parts_.lights.Escaped(path->view, path->ray.direction, &light_pdf);
+  light_pdf *= static_cast<float>(NumLightSamples(path->depth - 1));
   const float weight = StrategyWeight(path->pdf, light_pdf, LightStrategy::kBsdfOnly);
   path->radiance += path->throughput * radiance * weight;
 }
@@ -237,14 +245,15 @@ void PathWalker::AddEmission(PathState* path) const {
   float weight = 1;
   if (path->depth > 0 && !surface.unlit) {
     const float light_pdf = parts_.lights.TrianglePdf(path->view, hit.instance, hit.triangle,
-                                                      path->ray.direction, hit.t);
+                                                      path->ray.direction, hit.t) *
+                            static_cast<float>(NumLightSamples(path->depth - 1));
     weight = StrategyWeight(path->pdf, light_pdf, LightStrategy::kBsdfOnly);
   }
   path->radiance += path->throughput * surface.emission * weight;
 }
 
 // Leaves in `lit` the paths whose surfaces a light may reach.
-void PathWalker::Illuminate(Batch* batch) const {
+void PathWalker::Illuminate(int depth, Batch* batch) const {
   batch->lit.Clear();
   if (parts_.lights.empty()) return;
   static_assert(kPathsMax <= LightSampler::kLooksMax);
@@ -257,28 +266,38 @@ void PathWalker::Illuminate(Batch* batch) const {
     ++num_looks;
   }
   parts_.lights.Look({looks.data(), num_looks});
-  Batch::List facing;
-  const LightLook* look = looks.data();
-  for (int i : batch->met) {
-    if (SampleLight(*(look++)->weights, &batch->paths[i])) facing.Add(i);
-  }
-  for (int i : facing) {
-    PathState& path = batch->paths[i];
-    const LightSample& light = path.light;
-    const BsdfValue value = path.bsdf->Evaluate(path.frame->ToLocal(light.wi));
-    path.direct = path.throughput * value.f_cos * light.radiance * (1 / light.pdf);
-    if (!light.punctual) {
-      path.direct *= StrategyWeight(light.pdf, value.pdf, LightStrategy::kLightsOnly);
+  const int rounds = NumLightSamples(depth);
+  for (int round = 0; round < rounds; ++round) {
+    if (round > 0) CastShadows(batch);
+    batch->lit.Clear();
+    Batch::List facing;
+    const LightLook* look = looks.data();
+    for (int i : batch->met) {
+      if (SampleLight(*(look++)->weights, round, &batch->paths[i])) facing.Add(i);
     }
-    if (MaxComponent(path.direct) > 0) batch->lit.Add(i);
+    for (int i : facing) {
+      PathState& path = batch->paths[i];
+      LightSample& light = path.light;
+      light.pdf *= static_cast<float>(rounds);
+      const BsdfValue value = path.bsdf->Evaluate(path.frame->ToLocal(light.wi));
+      path.direct = path.throughput * value.f_cos * light.radiance * (1 / light.pdf);
+      if (!light.punctual) {
+        path.direct *= StrategyWeight(light.pdf, value.pdf, LightStrategy::kLightsOnly);
+      }
+      if (MaxComponent(path.direct) > 0) batch->lit.Add(i);
+    }
+    for (int i : batch->lit) AimShadow(&batch->paths[i]);
   }
-  for (int i : batch->lit) AimShadow(&batch->paths[i]);
 }
 
-bool PathWalker::SampleLight(const LightWeights& weights, PathState* path) const {
+bool PathWalker::SampleLight(const LightWeights& weights, int round, PathState* path) const {
   const Surface& surface = *path->surface;
-  if (!parts_.lights.Sample(path->view, weights, path->numbers[kChoice].x,
-                            path->numbers[kLightPoint], &path->light)) {
+  // The second sample's choice lies opposite the first's; its point takes the roulette's numbers,
+  // which the first bounce leaves unused.
+  float choice = path->numbers[kChoice].x;
+  if (round > 0) choice = choice < 0.5f ? choice + 0.5f : choice - 0.5f;
+  const V2f& point = path->numbers[round > 0 ? kRoulette : kLightPoint];
+  if (!parts_.lights.Sample(path->view, weights, choice, point, &path->light)) {
     return false;
   }
   // Above and below are the geometric surface's; the shading frame must agree (no light leaks).
@@ -366,10 +385,10 @@ void PathWalker::Trace(std::span<const PathRequest> requests, std::span<PixelSam
     Start(requests[i], &batch.paths[i]);
     batch.walking.Add(i);
   }
-  while (batch.walking.size() > 0) {
+  for (int depth = 0; batch.walking.size() > 0; ++depth) {
     Intersect(&batch);
     Read(&batch);
-    Illuminate(&batch);
+    Illuminate(depth, &batch);
     Scatter(&batch);
     CastShadows(&batch);
   }

@@ -56,7 +56,7 @@ class PathWalker {
   void Start(const PathRequest& request, PathState* path) const;
   void Intersect(Batch* batch) const;
   void Read(Batch* batch) const;
-  void Illuminate(Batch* batch) const;
+  void Illuminate(int depth, Batch* batch) const;
   void Scatter(Batch* batch) const;
   void CastShadows(Batch* batch) const;
 
@@ -65,7 +65,8 @@ class PathWalker {
   void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
   void AddEmission(PathState* path) const;
   bool Arrive(PathState* path, PixelSample* sample) const;
-  bool SampleLight(const LightWeights& weights, PathState* path) const;
+  int NumLightSamples(int depth) const;
+  bool SampleLight(const LightWeights& weights, int round, PathState* path) const;
   void AimShadow(PathState* path) const;
   bool Continue(const BsdfSample& scattered, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;

@@ -311,7 +311,7 @@ TEST(PathTracerTest, CancelStopsAndSamplesAreCounted) {
   const PixelRect window = PixelRect::FromSize(2, 3, 4, 5);
   ASSERT_TRUE((*tracer)->Render(window, {8, 16}, &cancel, &counters).ok());
   EXPECT_EQ(counters.samples, 20 * 8);
-  EXPECT_EQ(counters.rays, 20 * 8 * 3);  // camera, shadow, scattered
+  EXPECT_EQ(counters.rays, 20 * 8 * 4);  // camera, two shadows, scattered
   cancel = true;
   EXPECT_EQ((*tracer)->Render(window, {0, 8}, &cancel, &counters).status().code(),
             absl::StatusCode::kCancelled);
