@@ -110,7 +110,9 @@ Plane PoolSums(const Plane& plane, const PixelRect& bounds, const PixelRect& win
 
 }  // namespace
 
-int BilateralFilter::halo_px() const { return kRadiusFinalPx + kPatchRadiusPx + kPoolingRadiusPx; }
+int BilateralFilter::halo_px(DenoiseQuality quality) const {
+  return RadiusOf(quality) + kPatchRadiusPx + kPoolingRadiusPx;
+}
 
 void BilateralFilter::Filter(const FramePlanes& planes, const FrameParameters& parameters,
                              const PixelRect& window, FilteredPlanes* out) const {

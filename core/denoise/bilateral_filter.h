@@ -24,7 +24,7 @@ namespace tessera {
 class BilateralFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "bilateral"; }
-  int halo_px() const override;
+  int halo_px(DenoiseQuality quality) const override;
   void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
               FilteredPlanes* out) const override;
 };

@@ -30,7 +30,8 @@ void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
                     int num_threads, FilteredPlanes* out) {
   for (const PixelRect& window : windows) {
     if (window.empty()) continue;
-    const PixelRect read = window.Expand(denoiser.halo_px()).Intersect(parameters.frame);
+    const int halo_px = denoiser.halo_px(parameters.quality);
+    const PixelRect read = window.Expand(halo_px).Intersect(parameters.frame);
     TESSERA_CHECK(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
                   out->bounds.Contains(window));
   }

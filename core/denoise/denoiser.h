@@ -47,14 +47,14 @@ class Denoiser {
  public:
   virtual ~Denoiser() = default;
   virtual std::string_view name() const = 0;
-  // Pixels around a window that Filter reads, the calibration of the variance included or not as
-  // planes.variance is an input.
-  virtual int halo_px() const = 0;
+  // Pixels around a window that Filter reads at `quality`, the calibration of the variance included
+  // or not as planes.variance is an input.
+  virtual int halo_px(DenoiseQuality quality) const = 0;
   // The side of the windows into which large areas are best split: large against the halo.
   virtual int window_px() const { return 128; }
   // Writes the pixels of `window` of `out` from `planes`, whose bounds contain the window expanded
-  // by halo_px and cut at parameters.frame. Pixels without samples are filled or left zero with an
-  // infinite error. Threads: const, any number at once on disjoint windows.
+  // by halo_px(parameters.quality) and cut at parameters.frame. Pixels without samples are filled
+  // or left zero with an infinite error. Threads: const, any number at once on disjoint windows.
   virtual void Filter(const FramePlanes& planes, const FrameParameters& parameters,
                       const PixelRect& window, FilteredPlanes* out) const = 0;
 };

@@ -26,7 +26,7 @@ inline constexpr float kGeometricNormalCosine = 0.9f;
 class GeometricFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "geometric"; }
-  int halo_px() const override { return kGeometricRadiusMaxPx; }
+  int halo_px(DenoiseQuality /*quality*/) const override { return kGeometricRadiusMaxPx; }
   void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
               FilteredPlanes* out) const override;
 };

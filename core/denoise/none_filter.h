@@ -10,7 +10,7 @@ namespace tessera {
 class NoneFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "none"; }
-  int halo_px() const override { return 0; }
+  int halo_px(DenoiseQuality /*quality*/) const override { return 0; }
   void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
               FilteredPlanes* out) const override;
 };

@@ -38,7 +38,6 @@ constexpr int kFeatureReachPx = kCrossReachPx + kFinalReachPx;
 constexpr int kInputReachPx = kFeatureReachPx + std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx);
 constexpr int kPreviewInputReachPx = kRiskRadiusPx + PassReachPx(kWindowRadiusPreviewPx) +
                                      std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx);
-constexpr int kHaloPx = kRiskRadiusPx + kInputReachPx + kVarianceRadiusPx;
 
 // The pilot over `bounds`, from the first pass `kPilotVarianceRadiusPx` further.
 Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const PixelRect& bounds,
@@ -214,7 +213,11 @@ void WritePixel(const Filtered& filtered, const PooledErrors& pooled, size_t i, 
 
 }  // namespace
 
-int RegressionFilter::halo_px() const { return kHaloPx; }
+int RegressionFilter::halo_px(DenoiseQuality quality) const {
+  return kRiskRadiusPx +
+         (quality == DenoiseQuality::kPreview ? kPreviewInputReachPx : kInputReachPx) +
+         kVarianceRadiusPx;
+}
 
 void RegressionFilter::Filter(const FramePlanes& planes, const FrameParameters& parameters,
                               const PixelRect& window, FilteredPlanes* out) const {

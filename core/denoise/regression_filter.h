@@ -22,7 +22,7 @@ namespace tessera {
 class RegressionFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "regression"; }
-  int halo_px() const override;
+  int halo_px(DenoiseQuality quality) const override;
   int window_px() const override { return 256; }
   void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
               FilteredPlanes* out) const override;

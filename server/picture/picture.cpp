@@ -120,10 +120,13 @@ double Picture::Update(const std::vector<int64_t>& changed, const TileSource& so
     return Absorb(changed, source, num_threads) +
            Refine(std::numeric_limits<int64_t>::max(), num_threads);
   }
-  std::vector<int64_t> stale;
-  double cpu_seconds = TakeTiles(changed, source, num_threads, &stale);
-  if (quality != quality_) rough_.insert(stale.begin(), stale.end());
-  cpu_seconds += FilterTiles(stale, quality, num_threads);
+  std::vector<int64_t> resolved;
+  double cpu_seconds = TakeTiles(changed, source, num_threads, &resolved);
+  if (quality != quality_) {
+    const std::vector<int64_t> rough = StaleTiles(resolved, quality_);
+    rough_.insert(rough.begin(), rough.end());
+  }
+  cpu_seconds += FilterTiles(StaleTiles(resolved, quality), quality, num_threads);
   std::unique_lock lock(mu_);
   is_refined_ = rough_.empty();
   ++version_;
@@ -132,8 +135,9 @@ double Picture::Update(const std::vector<int64_t>& changed, const TileSource& so
 
 double Picture::Absorb(const std::vector<int64_t>& changed, const TileSource& source,
                        int num_threads) {
-  std::vector<int64_t> stale;
-  const double cpu_seconds = TakeTiles(changed, source, num_threads, &stale);
+  std::vector<int64_t> resolved;
+  const double cpu_seconds = TakeTiles(changed, source, num_threads, &resolved);
+  const std::vector<int64_t> stale = StaleTiles(resolved, quality_);
   rough_.insert(stale.begin(), stale.end());
   std::unique_lock lock(mu_);
   is_refined_ = false;
@@ -156,18 +160,21 @@ double Picture::Refine(int64_t pixels_max, int num_threads) {
 }
 
 double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource& source,
-                          int num_threads, std::vector<int64_t>* stale) {
-  std::vector<int64_t> resolved;
-  double cpu_seconds = Resolve(changed, source, num_threads, &resolved);
+                          int num_threads, std::vector<int64_t>* resolved) {
+  double cpu_seconds = Resolve(changed, source, num_threads, resolved);
   const std::vector<PixelRect> moved =
-      Split(JoinTiles(grid_, Reached(grid_, resolved, kCalibrationRadiusPx)), kResolvedPartPx);
+      Split(JoinTiles(grid_, Reached(grid_, *resolved, kCalibrationRadiusPx)), kResolvedPartPx);
   {
     std::unique_lock lock(variance_mu_);
     cpu_seconds += ParallelFor(moved.size(), num_threads,
                                [&](size_t i) { CalibrateVariance(moved[i], &planes_); });
   }
-  *stale = Reached(grid_, resolved, kCalibrationRadiusPx + denoiser_->halo_px());
   return cpu_seconds;
+}
+
+std::vector<int64_t> Picture::StaleTiles(const std::vector<int64_t>& tiles,
+                                         DenoiseQuality quality) const {
+  return Reached(grid_, tiles, kCalibrationRadiusPx + denoiser_->halo_px(quality));
 }
 
 double Picture::FilterTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality,

@@ -63,9 +63,11 @@ class Picture {
                                  const std::vector<std::string>& layers) const;
 
  private:
-  // Absorb; *stale is what the changed tiles can reach.
+  // Absorb; *resolved are those of the changed tiles that have samples.
   double TakeTiles(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
-                   std::vector<int64_t>* stale);
+                   std::vector<int64_t>* resolved);
+  // The tiles whose filtered pixels news in `tiles` can change at `quality`.
+  std::vector<int64_t> StaleTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality) const;
   // Filters `tiles`, their rows' errors and the estimate from them.
   double FilterTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality, int num_threads);
   // Each returns seconds of CPU.

@@ -89,12 +89,28 @@ TEST_P(EveryFilter, TilesEqualTheWholeFrame) {
       if (tile_size == 1) tiled = whole;
       for (int64_t tile = 0; tile < grid.num_tiles(); tile += step) {
         const PixelRect window = grid.WindowOf(tile);
-        const PixelRect read = window.Expand(denoiser_->halo_px()).Intersect(parameters.frame);
+        const int halo_px = denoiser_->halo_px(quality);
+        const PixelRect read = window.Expand(halo_px).Intersect(parameters.frame);
         denoiser_->Filter(Crop(frame.planes, read), parameters, window, &tiled);
       }
       SCOPED_TRACE(tile_size);
       ExpectSameBits(tiled, whole);
     }
+  }
+}
+
+// A frame beyond the halo on every side, of which the filter gets the halo alone.
+TEST_P(EveryFilter, TheHaloIsAllThatAWindowNeeds) {
+  const SyntheticFrame frame = MakeSyntheticFrame({-7, 5, 170, 171}, 0.2f, 16, 3);
+  const PixelRect window{75, 80, 92, 91};
+  for (const DenoiseQuality quality : {DenoiseQuality::kPreview, DenoiseQuality::kFinal}) {
+    const FrameParameters parameters{frame.planes.bounds, quality};
+    const PixelRect read = window.Expand(denoiser_->halo_px(quality));
+    ASSERT_TRUE(frame.planes.bounds.Contains(read));
+    FilteredPlanes whole(window), cropped(window);
+    denoiser_->Filter(frame.planes, parameters, window, &whole);
+    denoiser_->Filter(Crop(frame.planes, read), parameters, window, &cropped);
+    ExpectSameBits(cropped, whole);
   }
 }
 
