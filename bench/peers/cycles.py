@@ -95,7 +95,8 @@ def main():
     with open(sys.argv[sys.argv.index("--") + 1], encoding="utf-8") as file:
         job = json.load(file)
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.import_scene.gltf(filepath=job["scene"])
+    # COMPAT: one candela is one watt per steradian, as it is for Tessera; the default divides by 683.
+    bpy.ops.import_scene.gltf(filepath=job["scene"], convert_lighting_mode="COMPAT")
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     set_sampling(scene, job)
