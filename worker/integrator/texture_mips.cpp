@@ -21,7 +21,8 @@ struct Cover {
 };
 Cover CoverOf(int to_index, int to, int from) {
   const double scale = static_cast<double>(from) / to;
-  const double begin = to_index * scale, end = (to_index + 1) * scale;
+  // Of 27, to 13, the last texel's end is rounded to more than 27: that is no texel.
+  const double begin = to_index * scale, end = std::min<double>((to_index + 1) * scale, from);
   Cover cover;
   cover.first = static_cast<int>(begin);
   for (int k = 0; k < 4; ++k) {

@@ -33,7 +33,10 @@ double MeanOf(const Texture& t) {
 }
 
 TEST(TextureMipsTest, LevelsKeepTheMeanInLinearLight) {
-  for (const auto& [width, height] : {std::pair{64, 64}, {37, 5}, {1, 9}, {100, 1}, {3, 2}}) {
+  for (const auto& [width, height] : {std::pair{64, 64}, {37, 5}, {1, 9}, {100, 1}, {3, 2},
+                                      // Halves of these end beyond the last texel, by rounding; the
+                                      // sanitizers see it.
+                                      {27, 27}, {107, 55}}) {
     const Texture t = MakeTexture(width, height);
     const TextureMips mips(t);
     ASSERT_GT(mips.num_levels(), 0);
