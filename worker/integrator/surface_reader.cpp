@@ -80,20 +80,25 @@ SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometr
     }
     constants_.push_back(ConstantsOf(material, table));
   }
-  std::vector<uint8_t> is_base_color(scene.textures.size(), 0);
-  for (const Material& material : scene.materials) {
-    const int texture = material.base_color_texture.texture;
-    if (texture >= 0) is_base_color[texture] = 1;
-  }
-  mips_.resize(scene.textures.size());
-  tbb::parallel_for(size_t{0}, mips_.size(), [&](size_t i) {
-    if (is_base_color[i]) mips_[i] = TextureMips(scene.textures[i]);
-  });
   for (const Texture& texture : scene.textures) {
     bool has_alpha = false;
     for (size_t i = 3; i < texture.rgba.size(); i += 4) has_alpha |= texture.rgba[i] != 255;
     texture_has_alpha_.push_back(has_alpha);
   }
+  std::vector<uint8_t> is_prefiltered(scene.textures.size(), 0);
+  for (const Material& material : scene.materials) {
+    if (IsPrefiltered(material)) is_prefiltered[material.base_color_texture.texture] = 1;
+  }
+  mips_.resize(scene.textures.size());
+  tbb::parallel_for(size_t{0}, mips_.size(), [&](size_t i) {
+    if (is_prefiltered[i]) mips_[i] = TextureMips(scene.textures[i]);
+  });
+}
+
+bool SurfaceReader::IsPrefiltered(const Material& material) const {
+  const int texture = material.base_color_texture.texture;
+  return texture >= 0 &&
+         (material.alpha_mode == AlphaMode::kOpaque || !texture_has_alpha_[texture]);
 }
 
 bool SurfaceReader::HasAlpha(const Mesh& mesh) const {
@@ -244,7 +249,7 @@ V3f SurfaceReader::FilteredColor(const Place& place, const TextureRef& ref,
                                  float cone_width) const {
   const Texture& texture = scene_.textures[ref.texture];
   const TextureMips& mips = mips_[ref.texture];
-  if (cone_width > 0 && mips.num_levels() > 0) {
+  if (cone_width > 0 && mips.num_levels() > 0 && IsPrefiltered(place.material)) {
     // Texels across the cone, by the ratio of the triangle's areas.
     const std::vector<V2f>& uvs = place.mesh.uvs[ref.uv_set == 1 ? 1 : 0];
     const WorldTriangle& t = place.world;

@@ -80,6 +80,9 @@ class SurfaceReader {
   struct Place;
   V3f SmoothNormal(const Place& place) const;
   V3f MappedNormal(const Place& place, const TextureRef& map, float scale, const V3f& smooth) const;
+  // Whether the base colour's texture has levels to read. Not where alpha hides texels: an average
+  // would mix in colours that nobody sees.
+  bool IsPrefiltered(const Material& material) const;
   V4f Texel(const Place& place, const TextureRef& ref) const;
   V4f SrgbTexel(const Place& place, const TextureRef& ref) const;
   V3f FilteredColor(const Place& place, const TextureRef& ref, float cone_width) const;

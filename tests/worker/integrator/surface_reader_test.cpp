@@ -138,6 +138,33 @@ TEST(SurfaceReaderTest, FactorsTexturesAndVertexColoursMultiply) {
   EXPECT_NEAR((s.emission - V3f(2, 0, 6)).length(), 0, 1e-5);
 }
 
+// White leaves between black texels that alpha hides: white from afar too.
+TEST(SurfaceReaderTest, HiddenTexelsDoNotBleedIntoPrefilteredColours) {
+  constexpr int kSize = 16;
+  for (AlphaMode mode : {AlphaMode::kOpaque, AlphaMode::kMask, AlphaMode::kBlend}) {
+    auto scene = std::make_unique<Scene>();
+    Texture t;
+    t.width = t.height = kSize;
+    for (int i = 0; i < kSize * kSize; ++i) {
+      const uint8_t code = (i + i / kSize) % 2 == 0 ? 255 : 0;
+      t.rgba.insert(t.rgba.end(), {code, code, code, code});
+    }
+    scene->textures.push_back(t);
+    Material leaf = Lambert(V3f(1));
+    leaf.alpha_mode = mode;
+    leaf.base_color_texture.texture = 0;
+    Mesh quad = Quad(AddMaterial(leaf, scene.get()), {-1, 0, -1}, {0, 0, 2}, {2, 0, 0});
+    quad.uvs[0] = {V2f(0, 0), V2f(0, 1), V2f(1, 1), V2f(1, 0)};
+    AddMesh(quad, scene.get());
+    const OpenTracer tracer(std::move(scene), 1, 1, 0);
+    // The centre of a white texel.
+    const float u = 0.5f / kSize;
+    const RayHit hit{0, 0, 0, u, 1};
+    const float seen = tracer.surfaces().Read(hit, V3f(0, 1, 0), 2).bsdf.base_color.x;
+    EXPECT_NEAR(seen, mode == AlphaMode::kOpaque ? 0.5f : 1.f, 0.05f);
+  }
+}
+
 TEST(SurfaceReaderTest, ExtensionsReadTheirTexturesAndChannels) {
   auto scene = std::make_unique<Scene>();
   Material m;
