@@ -64,7 +64,9 @@ void Bsdf::SetSpecular(const BsdfParameters& p) {
   const float average_albedo =
       kCoatMargin * (coat_f0_ * (average.single.scale + coat_f0_ * average.multiple.scale) +
                      coat_f90_ * (average.single.bias + coat_f0_ * average.multiple.bias));
-  share_average_ = std::max(1 - average_albedo, 1e-6f);
+  // Below the margin the clamp of single directions' shares, which the average knows nothing of,
+  // would add energy.
+  share_average_ = std::max(1 - average_albedo, kCoatMargin - 1);
   diffuse_ = p.base_color * (dielectric / share_average_);
   if (glass_weight_ > 0) SetGlass(p, towards_wo);
 }

@@ -331,6 +331,24 @@ TEST(BsdfTest, SpecularFactorAndColorKeepTheFurnace) {
   }
 }
 
+// Smooth coats that leave next to nothing: shares of single directions are clamped at zero, which
+// their average does not know. The base may reflect what the coat does not, and no more.
+TEST(BsdfTest, UnderCoatsNextToPerfectMirrorsTheBaseGainsNothing) {
+  constexpr int kSteps = 4096;
+  for (int step = 0; step < 80; ++step) {
+    BsdfParameters p = White(0, 0, 0, 1e9f);
+    p.specular_color = V3f(0.992f + 5e-5f * static_cast<float>(step));
+    const Bsdf bsdf(p, V3f(0, 0, 1));
+    // By quadrature, off the mirror's direction; symmetric about the normal.
+    double base = 0;
+    for (int i = 0; i < kSteps; ++i) {
+      const float cosine = 0.98f * (static_cast<float>(i) + 0.5f) / kSteps;
+      base += bsdf.Evaluate(DirectionAt(cosine, 0.1f)).f_cos.x * 2 * kPiDouble * 0.98 / kSteps;
+    }
+    EXPECT_LE(base, 1 - p.specular_color.x + 1e-4f) << p.specular_color.x;
+  }
+}
+
 TEST(BsdfTest, SpecularColorTintsTheCoat) {
   BsdfParameters p = White(0, 0.2f, 0);
   p.base_color = V3f(0, 0, 0);
