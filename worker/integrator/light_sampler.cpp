@@ -58,7 +58,8 @@ LightShares SharesOf(const std::array<double, kNumLightGroups>& weights, double 
 }
 
 LightSampler::LightSampler(const Scene& scene, const SurfaceReader& surfaces,
-                           const EnvironmentSampler* environment, float scene_radius)
+                           const EnvironmentSampler* environment, float scene_radius,
+                           size_t local_lights_max)
     : scene_(scene),
       surfaces_(surfaces),
       environment_(environment),
@@ -71,7 +72,7 @@ LightSampler::LightSampler(const Scene& scene, const SurfaceReader& surfaces,
   }
   CollectSuns();
   for (uint32_t sun : suns_) powers[kSunGroup] += disc * Luminance(scene_.lights[sun].intensity);
-  powers[kLocalGroup] = CollectLocalLights();
+  powers[kLocalGroup] = CollectLocalLights(local_lights_max);
   static_shares_ = SharesOf(powers, kUnguidedShareMin);
 }
 
@@ -98,7 +99,7 @@ void LightSampler::CollectSuns() {
   sun_sums_ = RunningSums(weights);
 }
 
-double LightSampler::CollectLocalLights() {
+double LightSampler::CollectLocalLights(size_t lights_max) {
   std::vector<LightBounds> bounds;
   double power = 0;
   const auto add = [&](const LocalLight& light, const LightBounds& b, double solid_angle) {
@@ -116,6 +117,7 @@ double LightSampler::CollectLocalLights() {
     const Mesh& mesh = *surfaces_.geometry(i).mesh;
     if (!surfaces_.Emits(mesh)) continue;
     extended_ = true;
+    if (local_lights_.size() + mesh.triangles.size() > lights_max) continue;
     first_triangle_[i] = static_cast<int64_t>(local_lights_.size());
     const float peak = Luminance(scene_.materials[mesh.material].emission);
     for (uint32_t t = 0; t < mesh.triangles.size(); ++t) {

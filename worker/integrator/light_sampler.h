@@ -56,9 +56,14 @@ struct LightLook {
 
 class LightSampler {
  public:
+  // Instances repeat emissive triangles without bound; the tables of so many take about 1 GB while
+  // they are made. An instance that would exceed it is left to the BSDF's samples to find.
+  static constexpr size_t kLocalLightsMax = size_t{1} << 22;
+
   // `environment` may be null; `scene_radius` bounds the geometry, metres. Borrows all.
   LightSampler(const Scene& scene, const SurfaceReader& surfaces,
-               const EnvironmentSampler* environment, float scene_radius);
+               const EnvironmentSampler* environment, float scene_radius,
+               size_t local_lights_max = kLocalLightsMax);
 
   // What a pilot learnt; null without. Borrowed.
   void SetGuide(const LightGuide* guide) { guide_ = guide; }
@@ -96,7 +101,7 @@ class LightSampler {
 
   void CollectSuns();
   // Returns their power, W.
-  double CollectLocalLights();
+  double CollectLocalLights(size_t lights_max);
   LightBounds TriangleBounds(uint32_t instance, uint32_t triangle, float peak) const;
   bool SamplePunctual(const PunctualLight& light, const V3f& receiver, LightSample* sample) const;
   bool SampleTriangle(const LocalLight& light, const V3f& receiver, const V2f& u,

@@ -133,6 +133,21 @@ TEST(LightSamplerTest, HundredsOfLightsSumToTheirIrradiance) {
   EXPECT_LT(m.standard_error[0], 0.01 * expected);
 }
 
+// What does not fit is not sampled, says so, and can still be met.
+TEST(LightSamplerTest, EmittersBeyondTheMaximumAreLeftToTheBsdf) {
+  const OpenTracer tracer(Lamps(), 1, 1, 0);
+  const FullView view = ViewFrom(tracer, V3f(0.2f, -0.5f, 0.1f), V3f(0, 1, 0));
+  const V3f up = V3f(0.1f, 1, 0.1f).normalized();
+  const LightSampler four(tracer.scene(), tracer.surfaces(), nullptr, 5, 4);
+  EXPECT_GT(four.TrianglePdf(view, 1, 0, up, 1), 0);
+  EXPECT_GT(four.TrianglePdf(view, 2, 0, up, 1), 0);
+  EXPECT_EQ(four.TrianglePdf(view, 3, 0, up, 1), 0);
+  const LightSampler none(tracer.scene(), tracer.surfaces(), nullptr, 5, 1);
+  EXPECT_TRUE(none.empty());
+  EXPECT_TRUE(none.has_extended_lights());
+  EXPECT_EQ(none.TrianglePdf(view, 1, 0, up, 1), 0);
+}
+
 TEST(LightSamplerTest, NoLightsIsEmpty) {
   auto scene = std::make_unique<Scene>();
   AddMesh(Quad(AddMaterial(Lambert(V3f(1)), scene.get()), {0, 0, 0}, {1, 0, 0}, {0, 1, 0}),
