@@ -295,6 +295,8 @@ float EnvironmentSampler::TexelDensity(int cell, int x, int y) const {
   const std::span<const float> rows = RowSums(cell), columns = ColumnSums(y, c);
   const int dy = y - row_edges_[r], dx = x - column_edges_[c];
   const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPiFloat / light_.width;
+  // Next to the poles of a very high map; never chosen then.
+  if (!(solid_angle > 0)) return 0;
   return (rows[dy + 1] - rows[dy]) * (columns[dx + 1] - columns[dx]) / solid_angle;
 }
 

@@ -206,6 +206,19 @@ TEST(EnvironmentSamplerTest, AnOpenUniformSkyIsDrawnByTheCosine) {
   EXPECT_EQ(Pdf(sampler, view, -normal), 0);
 }
 
+// The rows at the poles of very high maps are thinner than floats near 1 are apart.
+TEST(EnvironmentSamplerTest, RowsTooThinForFloatsHaveNoDensity) {
+  EnvironmentLight light;
+  light.width = 2;
+  light.height = 16384;
+  light.texels.assign(size_t{2} * 16384, V3f(1));
+  const EnvironmentSampler sampler(&light);
+  for (float y : {1.f, -1.f}) {
+    const FullView view = ViewOf(sampler, V3f(0, y, 0));
+    EXPECT_EQ(Pdf(sampler, view, V3f(0, y, 0)), 0);
+  }
+}
+
 TEST(EnvironmentSamplerTest, BadTexelsCountAsBlack) {
   EnvironmentLight light = Map(0);
   light.texels[0] = V3f(-1, std::nanf(""), INFINITY);
