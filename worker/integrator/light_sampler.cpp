@@ -276,8 +276,13 @@ bool LightSampler::SampleTriangle(const LocalLight& light, const V3f& receiver, 
   if (cosine == 0) return false;
   sample->point_normal = normal2 * ((cosine > 0 ? -1.f : 1.f) / area2);
   const bool turned = surfaces_.geometry(light.instance).transform.mirrors;
-  sample->radiance =
-      surfaces_.Emission(light.instance, light.index, turned ? c : b, turned ? b : c);
+  const float v2 = turned ? c : b, v3 = turned ? b : c;
+  sample->radiance = surfaces_.Emission(light.instance, light.index, v2, v3);
+  // The shadow ray ends before the light: what rays would pass is taken off here.
+  const Mesh& mesh = *surfaces_.geometry(light.instance).mesh;
+  if (scene_.materials[mesh.material].alpha_mode != AlphaMode::kOpaque) {
+    sample->radiance *= surfaces_.Alpha(light.instance, light.index, v2, v3);
+  }
   sample->pdf = distance2 / (0.5f * area2 * std::fabs(cosine));
   sample->punctual = false;
   sample->at_infinity = false;

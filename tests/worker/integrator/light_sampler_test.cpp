@@ -133,6 +133,20 @@ TEST(LightSamplerTest, HundredsOfLightsSumToTheirIrradiance) {
   EXPECT_LT(m.standard_error[0], 0.01 * expected);
 }
 
+// Rays pass a surface of alpha 0.25 three times of four; light drawn from it is dimmed alike.
+TEST(LightSamplerTest, AlphaDimsWhatAnEmitterSends) {
+  auto scene = std::make_unique<Scene>();
+  Material glow = Emitter(V3f(8));
+  glow.alpha_mode = AlphaMode::kBlend;
+  glow.base_color.w = 0.25f;
+  AddMesh(Quad(AddMaterial(glow, scene.get()), {-1, 1, -1}, {2, 0, 0}, {0, 0, 2}), scene.get());
+  const OpenTracer tracer(std::move(scene), 1, 1, 0);
+  const FullView view = ViewFrom(tracer, V3f(0, 0, 0), V3f(0, 1, 0));
+  LightSample light;
+  ASSERT_TRUE(tracer.lights().Sample(view, view.weights, 0.3f, V2f(0.4f, 0.7f), &light));
+  EXPECT_EQ(light.radiance, V3f(2));
+}
+
 // What does not fit is not sampled, says so, and can still be met.
 TEST(LightSamplerTest, EmittersBeyondTheMaximumAreLeftToTheBsdf) {
   const OpenTracer tracer(Lamps(), 1, 1, 0);

@@ -106,6 +106,28 @@ TEST(PathTracerTest, QuadLightHasTheFormFactorOfAParallelRectangle) {
   }
 }
 
+// Whichever strategy finds it, an emitter that is a quarter there sends a quarter.
+TEST(PathTracerTest, StrategiesAgreeAboutEmittersWithAlpha) {
+  std::array<RadianceMoments, 3> seen;
+  for (LightStrategy strategy :
+       {LightStrategy::kBoth, LightStrategy::kBsdfOnly, LightStrategy::kLightsOnly}) {
+    auto scene = Floor(Lambert(V3f(0.6f)));
+    Material glow = Emitter(V3f(4));
+    glow.alpha_mode = AlphaMode::kBlend;
+    glow.base_color.w = 0.25f;
+    AddMesh(Quad(AddMaterial(glow, scene.get()), {-1, 0.5f, -1}, {2, 0, 0}, {0, 0, 2}),
+            scene.get());
+    scene->camera = Camera({0, 0.4f, 0.001f}, {0, 0, 0}, 20);
+    const OpenTracer tracer(std::move(scene), 4, 4, 0, strategy);
+    seen[static_cast<size_t>(strategy)] = tracer.Render(256, 8);
+  }
+  for (const RadianceMoments& m : seen) {
+    const double error = std::hypot(m.standard_error[0], seen[2].standard_error[0]);
+    EXPECT_NEAR(m.mean[0], seen[2].mean[0], 5 * error + 1e-4);  // 5 sigma: 1 in 10^6
+    EXPECT_LT(error, 0.05 * m.mean[0]);
+  }
+}
+
 TEST(PathTracerTest, UniformSkyOverAnOpenPlane) {
   auto scene = Floor(Lambert(V3f(0.7f)));
   scene->environment.emplace();
