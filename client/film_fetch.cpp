@@ -21,9 +21,10 @@ absl::StatusOr<std::vector<TileStatistics>> FarmClient::GetFilm(const std::strin
     while (malformed.ok() && stream->Read(&response)) {
       const v1::FilmNode& node = response.node();
       const v1::Region& window = node.window();
-      absl::StatusOr<TileStatistics> tile = DecodeDelta(
-          PixelRect::FromSize(window.x(), window.y(), window.width(), window.height()),
-          {node.sample_begin(), node.sample_end()}, node.encoding(), node.payload());
+      absl::StatusOr<TileStatistics> tile =
+          DecodeDelta(PixelRect::FromSize(window.x(), window.y(), window.width(), window.height()),
+                      {node.sample_begin(), node.sample_end()}, node.feature_end(), node.encoding(),
+                      node.payload());
       if (tile.ok()) {
         nodes.push_back(*std::move(tile));
       } else {

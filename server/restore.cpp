@@ -32,7 +32,8 @@ void LoadFilm(JobId id, const FilmStore& films, RestoreJobEvent* event) {
   const v1::JobSettings& settings = event->job.settings();
   const int64_t samples = event->job.progress().samples();
   absl::StatusOr<StoredFilm> stored =
-      films.Load(id, TileGrid(RegionOf(settings), settings.tile_size()));
+      films.Load(id, TileGrid(RegionOf(settings), settings.tile_size()),
+                 FeatureEndOf(settings.feature_spp()));
   if (stored.ok()) {
     event->film = std::move(stored->film);
     event->costs = std::move(stored->costs);

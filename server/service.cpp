@@ -167,9 +167,9 @@ absl::StatusOr<std::shared_ptr<const Film>> Service::Impl::FilmOf(JobId job) {
   });
   if (!record.ok()) return record.status();
   if (film != nullptr) return film;
-  const TileGrid grid(RegionOf(record->settings()), record->settings().tile_size());
-  if (record->progress().samples() == 0) return std::make_shared<const Film>(grid);
-  absl::StatusOr<StoredFilm> stored = films_->Load(job, grid);
+  const Film empty = EmptyFilmOf(record->settings());
+  if (record->progress().samples() == 0) return std::make_shared<const Film>(empty);
+  absl::StatusOr<StoredFilm> stored = films_->Load(job, empty.grid(), empty.feature_end());
   if (stored.ok()) return std::move(stored->film);
   ServerLog().error("job={} {}", job, std::string(stored.status().message()));
   return absl::DataLossError(

@@ -82,6 +82,8 @@ void AddSceneFlags(CLI::App* command, SceneFlags* flags) {
       "Stop at this relative RMSE of the final picture, such as 0.02");
   add("Sampling", "--max-time", &flags->max_time, "Stop after so many seconds");
   add("Sampling", "--max-depth", &flags->max_depth, "Bounces after the camera hit (8)");
+  add("Sampling", "--feature-spp", &flags->feature_spp,
+      "Samples of a pixel that carry albedo, normal, depth and id; all or 0 = every one (64)");
   add("Sampling", "--seed", &flags->seed, "Another seed, another noise (0)");
   add("Sampling", "--isa", &flags->isa,
       absl::StrCat("Instruction set that decides the bits: ", absl::StrJoin(kIsaClasses, ", "),

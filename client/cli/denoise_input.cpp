@@ -24,7 +24,7 @@ absl::StatusOr<DenoiseInput> ReadFilm(const std::string& path) {
     return absl::InvalidArgumentError(absl::StrCat(path, ": its tile size is impossible"));
   }
   const TileGrid grid(file->region, settings->tile_size());
-  Film film(grid);
+  Film film(grid, file->feature_end);
   for (const TileStatistics& node : file->nodes) {
     const int column = (node.window().x_begin - file->region.x_begin) / grid.tile_size();
     const int row = (node.window().y_begin - file->region.y_begin) / grid.tile_size();

@@ -38,6 +38,7 @@ struct SceneFlags {
   std::string target_error;
   std::string max_time;
   std::string max_depth;
+  std::string feature_spp;
   std::string seed;
   std::string isa;
   std::string env;

@@ -21,6 +21,7 @@ using google::protobuf::util::TimeUtil;
 constexpr double kCoordinateMax = 1e12;  // metres
 constexpr int kMaxDepthDefault = 8;
 constexpr int kMaxDepthMax = 1024;
+constexpr int64_t kFeatureSppMax = int64_t{1} << 30;
 constexpr int kTileSizeMax = 64;
 constexpr int kPriorityMax = 1000000;
 
@@ -126,6 +127,14 @@ void ReadFrame(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* set
   }
 }
 
+absl::StatusOr<int64_t> ParseFeatureSpp(const std::string& flag, const std::string& text) {
+  if (text == "all") return 0;
+  const absl::StatusOr<int64_t> spp = ParseInteger(flag, text, 0, kFeatureSppMax);
+  if (!spp.ok() || (*spp & (*spp - 1)) == 0) return spp;
+  return Conflict(absl::StrCat(flag, " ", text,
+                               ": must be a power of two such as 64, or all for every sample"));
+}
+
 void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* settings) {
   reader->Integer("--spp", flags.spp, 1, kSppMax, [&](int64_t v) { settings->set_spp(v); });
   reader->Number("--target-error", flags.target_error, 1e-6, 1e3,
@@ -140,6 +149,8 @@ void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* se
   }
   reader->Integer("--max-depth", flags.max_depth, 0, kMaxDepthMax,
                   [&](int64_t v) { settings->set_max_depth(static_cast<int>(v)); });
+  reader->Read("--feature-spp", flags.feature_spp, ParseFeatureSpp,
+               [&](int64_t v) { settings->set_feature_spp(v); });
   reader->Read("--seed", flags.seed, ParseUnsigned, [&](uint64_t v) { settings->set_seed(v); });
 }
 
@@ -270,6 +281,9 @@ absl::Status CheckContinues(const std::string& flag, const v1::JobSettings& film
   }
   if (film.seed() != job.seed()) {
     differences.push_back(absl::StrCat("--seed (the film's is ", film.seed(), ")"));
+  }
+  if (film.feature_spp() != job.feature_spp()) {
+    differences.push_back(absl::StrCat("--feature-spp (the film's is ", film.feature_spp(), ")"));
   }
   if (film.isa() != job.isa()) differences.push_back("--isa");
   if (film.transparent() != job.transparent()) differences.push_back("--transparent");

@@ -53,6 +53,7 @@ absl::StatusOr<FilmFile> FetchFilm(FarmClient& client, const v1::Job& job) {
   if (!nodes.ok()) return nodes.status();
   FilmFile film;
   film.settings = SettingsJson(job.settings());
+  film.feature_end = FeatureEndOf(job.settings().feature_spp());
   film.nodes = *std::move(nodes);
   return film;
 }

@@ -22,7 +22,7 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little);
 
-constexpr uint8_t kFormatVersion = 1;
+constexpr uint8_t kFormatVersion = 2;
 constexpr size_t kChecksumBytes = sizeof(uint64_t);
 constexpr int kCompressionLevel = 1;
 // Planes of one half: the float planes, then the count planes.
@@ -48,6 +48,7 @@ constexpr Quantity kQuantities[] = {
     {kNormalMsd, 3, false},
     {kDepthMean, 1, false},
     {kDepthMsd, 1, false},
+    {kFirstCountPlane + kLaterHits, 1, false},
     {kFirstCountPlane + kHits, 1, false},
     {kFirstCountPlane + kMaterialId, 1, false},
     {kFirstCountPlane + kIdVotes, 1, false},
@@ -55,6 +56,12 @@ constexpr Quantity kQuantities[] = {
 constexpr int kNumChannelsMax = 3;
 
 using PlaneCodings = std::array<std::array<PlaneCoding, kNumPlanes>, kNumHalves>;
+
+// Whether the tile has the plane: statistics without features lack most.
+bool Has(const TileStatistics& tile, int plane) {
+  return plane < kFirstCountPlane ? plane < tile.num_float_planes()
+                                  : plane - kFirstCountPlane < tile.num_count_planes();
+}
 
 bool IsMsdPlane(int plane) { return plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3); }
 
@@ -192,9 +199,11 @@ absl::Status Malformed(std::string_view what) {
                    "; it was damaged on its way or comes from another version: send it again"));
 }
 
-void AppendCodings(const PlaneCodings& codings, std::string* payload) {
+void AppendCodings(const TileStatistics& tile, const PlaneCodings& codings, std::string* payload) {
   for (const auto& half_codings : codings) {
-    for (const PlaneCoding& coding : half_codings) {
+    for (int plane = 0; plane < kNumPlanes; ++plane) {
+      if (!Has(tile, plane)) continue;
+      const PlaneCoding& coding = half_codings[static_cast<size_t>(plane)];
       payload->push_back(
           static_cast<char>(coding.width_bytes | (static_cast<uint8_t>(coding.predictor) << 3)));
       payload->push_back(static_cast<char>(coding.shift));
@@ -204,9 +213,11 @@ void AppendCodings(const PlaneCodings& codings, std::string* payload) {
 }
 
 // Whether the planes' headers are there and within their ranges.
-bool ReadCodings(ByteReader* reader, PlaneCodings* codings) {
+bool ReadCodings(const TileStatistics& tile, ByteReader* reader, PlaneCodings* codings) {
   for (auto& half_codings : *codings) {
-    for (PlaneCoding& coding : half_codings) {
+    for (int plane = 0; plane < kNumPlanes; ++plane) {
+      if (!Has(tile, plane)) continue;
+      PlaneCoding& coding = half_codings[static_cast<size_t>(plane)];
       uint8_t predictor_and_width;
       uint64_t base;
       if (!reader->ReadByte(&predictor_and_width) || !reader->ReadByte(&coding.shift) ||
@@ -275,8 +286,11 @@ absl::Status ValidateStatistics(const TileStatistics& tile) {
   }
   const size_t area = static_cast<size_t>(tile.num_pixels());
   for (int half = 0; half < kNumHalves; ++half) {
-    const uint32_t count = static_cast<uint32_t>(tile.HalfCount(half));
-    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+    const uint32_t feature_count = static_cast<uint32_t>(tile.FeatureHalfCount(half));
+    const uint32_t later_count = static_cast<uint32_t>(tile.HalfCount(half)) - feature_count;
+    for (int plane = 0; plane < tile.num_float_planes(); ++plane) {
+      const uint32_t count =
+          plane < kNumRadiancePlanes ? feature_count + later_count : feature_count;
       const float least = IsMsdPlane(plane) ? 0 : -kMeanMax;
       const float greatest = count == 0 ? 0 : IsMsdPlane(plane) ? kMsdMax : kMeanMax;
       bool ok = true;  // false for NaN, too
@@ -285,13 +299,18 @@ absl::Status ValidateStatistics(const TileStatistics& tile) {
       }
       if (!ok) return Malformed(absl::StrCat("float plane ", plane, " is out of range"));
     }
+    if (std::ranges::any_of(tile.Counts(half, kLaterHits),
+                            [&](uint32_t hits) { return hits > later_count; })) {
+      return Malformed("hits do not fit the samples");
+    }
+    if (!tile.has_features()) continue;
     const auto hits = tile.Counts(half, kHits);
     const auto votes = tile.Counts(half, kIdVotes);
     const auto depth_mean = tile.Floats(half, kDepthMean);
     const auto depth_msd = tile.Floats(half, kDepthMsd);
     bool ok = true;
     for (size_t i = 0; i < area; ++i) {
-      ok &= hits[i] <= count && votes[i] <= count;
+      ok &= hits[i] <= feature_count && votes[i] <= feature_count;
       ok &= hits[i] > 0 || (depth_mean[i] == 0 && depth_msd[i] == 0);
     }
     if (!ok) return Malformed("hits or votes do not fit the samples");
@@ -307,6 +326,7 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
   std::string body, stream;
   size_t packed_bytes = kChecksumBytes;
   for (const Quantity& quantity : kQuantities) {
+    if (!Has(tile, quantity.first_plane)) continue;
     for (int channel = 0; channel < quantity.num_channels; ++channel) {
       const int plane = quantity.first_plane + channel;
       for (int half = 0; half < kNumHalves; ++half) {
@@ -333,7 +353,7 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
 
   std::string payload(1, static_cast<char>(kFormatVersion));
   AppendVarint(static_cast<uint64_t>(tile.non_finite), &payload);
-  AppendCodings(codings, &payload);
+  AppendCodings(tile, codings, &payload);
   packed_bytes += payload.size();
   payload += body;
   const uint64_t checksum = XXH64(payload.data(), payload.size(), 0);
@@ -342,10 +362,15 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
 }
 
 absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
-                                           uint32_t encoding, std::string_view payload) {
+                                           int64_t feature_end, uint32_t encoding,
+                                           std::string_view payload) {
   if (window.empty() || range.begin < 0 || range.empty() || range.end > kSamplesMax) {
     return absl::InvalidArgumentError(
         "delta: the window must have pixels and the sample range lie within [0, 2^31)");
+  }
+  if (!IsFeatureEnd(feature_end)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "delta: features cannot end at sample ", feature_end, ": give a power of two up to 2^31"));
   }
   if (encoding != static_cast<uint32_t>(DeltaEncoding::kPacked) &&
       encoding != static_cast<uint32_t>(DeltaEncoding::kPackedZstd)) {
@@ -363,14 +388,14 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
   uint64_t non_finite;
   PlaneCodings codings;
   if (!reader.ReadByte(&version) || version != kFormatVersion) return Malformed("unknown format");
-  if (!reader.ReadVarint(&non_finite) || !ReadCodings(&reader, &codings)) {
+  TileStatistics tile(window, range, feature_end);
+  if (!reader.ReadVarint(&non_finite) || !ReadCodings(tile, &reader, &codings)) {
     return Malformed("bad plane header");
   }
-
-  TileStatistics tile(window, range);
   tile.non_finite = static_cast<int64_t>(non_finite);
   QuantityPlanes planes(static_cast<size_t>(tile.num_pixels()));
   for (const Quantity& quantity : kQuantities) {
+    if (!Has(tile, quantity.first_plane)) continue;
     absl::Status status =
         ReadStreams(quantity, static_cast<DeltaEncoding>(encoding), codings, &reader, &planes);
     if (status.ok()) status = RestoreQuantity(quantity, codings, &planes, &tile);

@@ -24,11 +24,12 @@ struct EncodedDelta {
 
 EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding);
 
-// Errors: INVALID_ARGUMENT for a wrong size, checksum, encoding, or a value that statistics cannot
-// have (non-finite, negative msd, more hits than samples). Never allocates more than the window and
-// range imply.
+// Errors: INVALID_ARGUMENT for a wrong size, feature end, checksum, encoding, or a value that
+// statistics cannot have (non-finite, negative msd, more hits than samples). Never allocates more
+// than the window and range imply.
 absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
-                                           uint32_t encoding, std::string_view payload);
+                                           int64_t feature_end, uint32_t encoding,
+                                           std::string_view payload);
 
 // INVALID_ARGUMENT for what no film's arithmetic survives or no renderer can have sent; what
 // DecodeDelta asks last, and readers of film files too.

@@ -35,7 +35,9 @@ void HashValues(const T* values, size_t num_values, Sha256* hash) {
 
 }  // namespace
 
-Film::Film(const TileGrid& grid) : grid_(grid) {}
+Film::Film(const TileGrid& grid, int64_t feature_end) : grid_(grid), feature_end_(feature_end) {
+  TESSERA_CHECK(IsFeatureEnd(feature_end));
+}
 
 absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
   if (tile_index < 0 || tile_index >= grid_.num_tiles()) {
@@ -50,6 +52,11 @@ absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
   if (node.window() != grid_.WindowOf(tile_index)) {
     return absl::InvalidArgumentError(
         absl::StrCat("the delta's window is not that of tile ", tile_index));
+  }
+  if (node.feature_end() != feature_end_) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("the delta's features end at sample ", node.feature_end(), ", the film's at ",
+                     feature_end_, ": render it with the job's settings"));
   }
 
   if (nodes_.empty()) nodes_.resize(static_cast<size_t>(grid_.num_tiles()));
@@ -141,7 +148,7 @@ void Film::DropWaiting() {
 
 TileStatistics Film::Fold(int64_t tile_index, int64_t end) const {
   if (end < 0) end = CommittedEnd(tile_index);
-  TileStatistics folded(grid_.WindowOf(tile_index), {0, 0});
+  TileStatistics folded(grid_.WindowOf(tile_index), {0, 0}, feature_end_);
   for (const TileStatistics& node : Nodes(tile_index)) {
     if (node.range().end > end) break;
     if (folded.range().empty()) {
@@ -167,10 +174,13 @@ Sha256Digest Film::Digest() const {
     }
     const int y_end = std::min(y_begin + grid_.tile_size(), region.y_end);
     for (int y = y_begin; y < y_end; ++y) {
-      for (const TileStatistics& tile : tiles) {
-        const std::vector<uint32_t> samples(static_cast<size_t>(tile.window().width()),
-                                            static_cast<uint32_t>(tile.range().end));
-        HashValues(samples.data(), samples.size(), &hash);
+      for (const bool features : {false, true}) {
+        for (const TileStatistics& tile : tiles) {
+          const SampleRange range = features ? tile.feature_range() : tile.range();
+          const std::vector<uint32_t> samples(static_cast<size_t>(tile.window().width()),
+                                              static_cast<uint32_t>(range.end));
+          HashValues(samples.data(), samples.size(), &hash);
+        }
       }
       HashRow(tiles, y, &hash);
     }

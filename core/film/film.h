@@ -20,14 +20,16 @@ inline constexpr int64_t kWaitingNodesMax = 256;
 
 class Film {
  public:
-  explicit Film(const TileGrid& grid);
+  // Samples below `feature_end` carry features (TileStatistics).
+  explicit Film(const TileGrid& grid, int64_t feature_end = kAllFeatures);
 
   const TileGrid& grid() const { return grid_; }
+  int64_t feature_end() const { return feature_end_; }
 
   // Adds a node of tile `tile_index`. Ranges must be nodes of the folding tree, hence nested or
   // disjoint: a node that contains waiting smaller ones replaces them (the same samples, so the
   // same bits), and nothing is counted twice.
-  // Errors: INVALID_ARGUMENT    window or range do not fit
+  // Errors: INVALID_ARGUMENT    window, range or feature end do not fit
   //         ALREADY_EXISTS      the range is covered: safe, drop it
   //         RESOURCE_EXHAUSTED  kWaitingNodesMax nodes of the tile wait already and this one
   //                             would neither join one of them nor extend CommittedEnd
@@ -45,8 +47,9 @@ class Film {
   TileStatistics Fold(int64_t tile_index, int64_t end = -1) const;
 
   // SHA-256 over the region's folded planes [0, CommittedEnd of each tile): the region's bounds,
-  // then row by row each pixel's sample count and, for each half, each float plane's and then each
-  // count plane's row; 4 bytes a value, little-endian. Independent of the tile size.
+  // then row by row each pixel's sample count, its count of samples with features and, for each
+  // half, each float plane's and then each count plane's row; 4 bytes a value, little-endian.
+  // Independent of the tile size.
   Sha256Digest Digest() const;
 
   // Drops every node that lies beyond its tile's CommittedEnd: no other sample will join it.
@@ -62,6 +65,7 @@ class Film {
   static void HashRow(const std::vector<TileStatistics>& tiles, int y, Sha256* hash);
 
   TileGrid grid_;
+  int64_t feature_end_;
   // By tile; ascending, disjoint. Empty until the first node comes: a job that waits for its turn
   // takes no memory for its tiles.
   std::vector<std::vector<TileStatistics>> nodes_;

@@ -45,6 +45,8 @@ void FramePlanes::Resolve(const TileStatistics& tile) {
   const int32_t count_a = static_cast<int32_t>(tile.HalfCount(0));
   const int32_t count_b = static_cast<int32_t>(tile.HalfCount(1));
   const int32_t count = count_a + count_b;
+  const int32_t feature_count_a = static_cast<int32_t>(tile.FeatureHalfCount(0));
+  const int32_t feature_count_b = static_cast<int32_t>(tile.FeatureHalfCount(1));
   size_t from = 0;
   for (int y = window.y_begin; y < window.y_end; ++y) {
     size_t to = static_cast<size_t>(bounds.IndexOf(window.x_begin, y));
@@ -52,10 +54,10 @@ void FramePlanes::Resolve(const TileStatistics& tile) {
       for (int c = 0; c < 3; ++c) {
         JoinHalves(tile, kRadianceMean + c, kRadianceMsd + c, from, count_a, count_b, &color[c][to],
                    &sample_variance_of_mean[c][to]);
-        JoinHalves(tile, kAlbedoMean + c, kAlbedoMsd + c, from, count_a, count_b, &albedo[c][to],
-                   &albedo_variance[c][to]);
-        JoinHalves(tile, kNormalMean + c, kNormalMsd + c, from, count_a, count_b, &normal[c][to],
-                   &normal_variance[c][to]);
+        JoinHalves(tile, kAlbedoMean + c, kAlbedoMsd + c, from, feature_count_a, feature_count_b,
+                   &albedo[c][to], &albedo_variance[c][to]);
+        JoinHalves(tile, kNormalMean + c, kNormalMsd + c, from, feature_count_a, feature_count_b,
+                   &normal[c][to], &normal_variance[c][to]);
         color_half[0][c][to] = tile.Floats(0, kRadianceMean + c)[from];
         color_half[1][c][to] = tile.Floats(1, kRadianceMean + c)[from];
       }
@@ -63,11 +65,13 @@ void FramePlanes::Resolve(const TileStatistics& tile) {
       const int32_t hits_b = static_cast<int32_t>(tile.Counts(1, kHits)[from]);
       JoinHalves(tile, kDepthMean, kDepthMsd, from, hits_a, hits_b, &depth[to],
                  &depth_variance[to]);
-      coverage[to] =
-          static_cast<float>(hits_a + hits_b) / static_cast<float>(count > 0 ? count : 1);
+      const int32_t later_hits =
+          static_cast<int32_t>(tile.Counts(0, kLaterHits)[from] + tile.Counts(1, kLaterHits)[from]);
+      coverage[to] = static_cast<float>(hits_a + hits_b + later_hits) /
+                     static_cast<float>(count > 0 ? count : 1);
       const IdVote vote_a{tile.Counts(0, kMaterialId)[from], tile.Counts(0, kIdVotes)[from]};
       const IdVote vote_b{tile.Counts(1, kMaterialId)[from], tile.Counts(1, kIdVotes)[from]};
-      material_id[to] = count_b == 0 ? vote_a.id : FoldVotes(vote_a, vote_b).id;
+      material_id[to] = feature_count_b == 0 ? vote_a.id : FoldVotes(vote_a, vote_b).id;
       samples[to] = static_cast<uint32_t>(count);
     }
   }

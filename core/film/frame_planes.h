@@ -1,5 +1,6 @@
 // What the film knows of each pixel, resolved to plain planes: the input of denoisers and of image
-// layers. Means and variances of the mean join both halves.
+// layers. Means and variances of the mean join both halves. Those of features rest on the samples
+// that carry them (TileStatistics), which are the first ones and may be far fewer than `samples`.
 #pragma once
 
 #include <array>
@@ -30,7 +31,7 @@ struct FramePlanes {
   Planes3 albedo, albedo_variance;  // mean; sample variance of the mean, +inf where n < 2
   Planes3 normal, normal_variance;
   Plane depth, depth_variance;        // mean over hits, 0 where none; as above, n = hits
-  Plane coverage;                     // hits / samples, [0, 1]
+  Plane coverage;                     // share of all samples that hit something, [0, 1]
   std::vector<uint32_t> material_id;  // majority of both halves, 0 = none
   std::vector<uint32_t> samples;      // per pixel; 0 = nothing known yet
 

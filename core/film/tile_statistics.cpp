@@ -35,61 +35,82 @@ void FoldDepth(int64_t num_pixels, const float* right_mean, const float* right_m
 
 }  // namespace
 
-TileStatistics::TileStatistics(const PixelRect& window, SampleRange range)
-    : window_(window),
-      range_(range),
-      floats_(static_cast<size_t>(window.area()) * kNumFloatPlanes * kNumHalves),
-      counts_(static_cast<size_t>(window.area()) * kNumCountPlanes * kNumHalves) {}
+TileStatistics::TileStatistics(const PixelRect& window, SampleRange range, int64_t feature_end)
+    : window_(window), range_(range), feature_end_(feature_end) {
+  TESSERA_CHECK(IsFeatureEnd(feature_end));
+  const size_t area = static_cast<size_t>(window.area());
+  floats_.resize(area * static_cast<size_t>(num_float_planes() * kNumHalves));
+  counts_.resize(area * static_cast<size_t>(num_count_planes() * kNumHalves));
+}
 
 std::span<float> TileStatistics::Floats(int half, int plane) {
+  TESSERA_CHECK(plane < num_float_planes());
   const size_t area = static_cast<size_t>(num_pixels());
-  return {floats_.data() + (half * kNumFloatPlanes + plane) * area, area};
+  return {floats_.data() + (half * num_float_planes() + plane) * area, area};
 }
 std::span<const float> TileStatistics::Floats(int half, int plane) const {
+  TESSERA_CHECK(plane < num_float_planes());
   const size_t area = static_cast<size_t>(num_pixels());
-  return {floats_.data() + (half * kNumFloatPlanes + plane) * area, area};
+  return {floats_.data() + (half * num_float_planes() + plane) * area, area};
 }
 std::span<uint32_t> TileStatistics::Counts(int half, int plane) {
+  TESSERA_CHECK(plane < num_count_planes());
   const size_t area = static_cast<size_t>(num_pixels());
-  return {counts_.data() + (half * kNumCountPlanes + plane) * area, area};
+  return {counts_.data() + (half * num_count_planes() + plane) * area, area};
 }
 std::span<const uint32_t> TileStatistics::Counts(int half, int plane) const {
+  TESSERA_CHECK(plane < num_count_planes());
   const size_t area = static_cast<size_t>(num_pixels());
-  return {counts_.data() + (half * kNumCountPlanes + plane) * area, area};
+  return {counts_.data() + (half * num_count_planes() + plane) * area, area};
+}
+
+void TileStatistics::FoldVector(const TileStatistics& right, int half, int mean_plane,
+                                float right_weight) {
+  for (int plane = mean_plane; plane < mean_plane + 3; ++plane) {
+    FoldChannel(num_pixels(), right_weight, right.Floats(half, plane).data(),
+                right.Floats(half, plane + 3).data(), Floats(half, plane).data(),
+                Floats(half, plane + 3).data());
+  }
+}
+
+void TileStatistics::MergeFeatures(const TileStatistics& right, int half) {
+  const int64_t area = num_pixels();
+  const int32_t left_count = static_cast<int32_t>(FeatureHalfCount(half));
+  const int32_t right_count = static_cast<int32_t>(right.FeatureHalfCount(half));
+  const float right_weight = RightWeight(left_count, right_count);
+  FoldVector(right, half, kAlbedoMean, right_weight);
+  FoldVector(right, half, kNormalMean, right_weight);
+  FoldDepth(area, right.Floats(half, kDepthMean).data(), right.Floats(half, kDepthMsd).data(),
+            right.Counts(half, kHits).data(), Floats(half, kDepthMean).data(),
+            Floats(half, kDepthMsd).data(), Counts(half, kHits).data());
+
+  uint32_t* ids = Counts(half, kMaterialId).data();
+  uint32_t* votes = Counts(half, kIdVotes).data();
+  const uint32_t* right_ids = right.Counts(half, kMaterialId).data();
+  const uint32_t* right_votes = right.Counts(half, kIdVotes).data();
+  for (int64_t i = 0; i < area; ++i) {
+    const IdVote left_vote{ids[i], votes[i]}, right_vote{right_ids[i], right_votes[i]};
+    // An empty half has no opinion, while a tie of no votes has an id.
+    const IdVote vote = left_count == 0    ? right_vote
+                        : right_count == 0 ? left_vote
+                                           : FoldVotes(left_vote, right_vote);
+    ids[i] = vote.id;
+    votes[i] = vote.votes;
+  }
 }
 
 void TileStatistics::Merge(const TileStatistics& right) {
   TESSERA_CHECK(right.window_ == window_ && right.range_.begin == range_.end);
-  TESSERA_CHECK(right.range_.end <= kSamplesMax);
-  const int64_t area = num_pixels();
+  TESSERA_CHECK(right.range_.end <= kSamplesMax && right.feature_end_ == feature_end_);
   for (int half = 0; half < kNumHalves; ++half) {
-    const int32_t left_count = static_cast<int32_t>(HalfCount(half));
-    const int32_t right_count = static_cast<int32_t>(right.HalfCount(half));
-    const float right_weight = RightWeight(left_count, right_count);
-    for (const int mean_plane : {kRadianceMean, kAlbedoMean, kNormalMean}) {
-      for (int plane = mean_plane; plane < mean_plane + 3; ++plane) {
-        FoldChannel(area, right_weight, right.Floats(half, plane).data(),
-                    right.Floats(half, plane + 3).data(), Floats(half, plane).data(),
-                    Floats(half, plane + 3).data());
-      }
-    }
-    FoldDepth(area, right.Floats(half, kDepthMean).data(), right.Floats(half, kDepthMsd).data(),
-              right.Counts(half, kHits).data(), Floats(half, kDepthMean).data(),
-              Floats(half, kDepthMsd).data(), Counts(half, kHits).data());
-
-    uint32_t* ids = Counts(half, kMaterialId).data();
-    uint32_t* votes = Counts(half, kIdVotes).data();
-    const uint32_t* right_ids = right.Counts(half, kMaterialId).data();
-    const uint32_t* right_votes = right.Counts(half, kIdVotes).data();
-    for (int64_t i = 0; i < area; ++i) {
-      const IdVote left_vote{ids[i], votes[i]}, right_vote{right_ids[i], right_votes[i]};
-      // An empty half has no opinion, while a tie of no votes has an id.
-      const IdVote vote = left_count == 0    ? right_vote
-                          : right_count == 0 ? left_vote
-                                             : FoldVotes(left_vote, right_vote);
-      ids[i] = vote.id;
-      votes[i] = vote.votes;
-    }
+    FoldVector(right, half, kRadianceMean,
+               RightWeight(static_cast<int32_t>(HalfCount(half)),
+                           static_cast<int32_t>(right.HalfCount(half))));
+    const auto later_hits = Counts(half, kLaterHits);
+    const auto right_later_hits = right.Counts(half, kLaterHits);
+    for (size_t i = 0; i < later_hits.size(); ++i) later_hits[i] += right_later_hits[i];
+    // Where `right` has no features, the left ones are the joint ones.
+    if (right.has_features()) MergeFeatures(right, half);
   }
   range_.end = right.range_.end;
   non_finite += right.non_finite;

@@ -18,8 +18,9 @@ namespace tessera {
 namespace {
 
 constexpr char kVersionKey[] = "film.version";
-constexpr int64_t kVersion = 1;
+constexpr int64_t kVersion = 2;
 constexpr char kSettingsKey[] = "film.settings";
+constexpr char kFeatureSppKey[] = "film.feature_spp";
 constexpr char kNonFiniteKey[] = "film.non_finite";
 constexpr int kRowsAtOnce = 64;
 
@@ -28,7 +29,8 @@ constexpr std::array<const char*, kNumFloatPlanes> kFloatNames = {
     "radiance.msd.B",  "albedo.mean.R",   "albedo.mean.G",   "albedo.mean.B",  "albedo.msd.R",
     "albedo.msd.G",    "albedo.msd.B",    "normal.mean.X",   "normal.mean.Y",  "normal.mean.Z",
     "normal.msd.X",    "normal.msd.Y",    "normal.msd.Z",    "depth.mean",     "depth.msd"};
-constexpr std::array<const char*, kNumCountPlanes> kCountNames = {"hits", "id", "votes"};
+constexpr std::array<const char*, kNumCountPlanes> kCountNames = {"later_hits", "hits", "id",
+                                                                  "votes"};
 
 // One channel of a group: which plane of a node it holds.
 struct FilmChannel {
@@ -38,22 +40,26 @@ struct FilmChannel {
   int plane;
 };
 
-// The order of a group's channels; the node channel comes before them.
-const std::vector<FilmChannel>& ChannelsOfGroup() {
-  static const std::vector<FilmChannel> kChannels = [] {
-    std::vector<FilmChannel> channels;
-    for (int half = 0; half < kNumHalves; ++half) {
-      const char* prefix = half == 0 ? "A." : "B.";
-      for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
-        channels.push_back({absl::StrCat(prefix, kFloatNames[plane]), false, half, plane});
-      }
-      for (int plane = 0; plane < kNumCountPlanes; ++plane) {
-        channels.push_back({absl::StrCat(prefix, kCountNames[plane]), true, half, plane});
-      }
+std::vector<FilmChannel> MakeChannels(int num_float_planes, int num_count_planes) {
+  std::vector<FilmChannel> channels;
+  for (int half = 0; half < kNumHalves; ++half) {
+    const char* prefix = half == 0 ? "A." : "B.";
+    for (int plane = 0; plane < num_float_planes; ++plane) {
+      channels.push_back({absl::StrCat(prefix, kFloatNames[plane]), false, half, plane});
     }
-    return channels;
-  }();
-  return kChannels;
+    for (int plane = 0; plane < num_count_planes; ++plane) {
+      channels.push_back({absl::StrCat(prefix, kCountNames[plane]), true, half, plane});
+    }
+  }
+  return channels;
+}
+
+// The order of a group's channels; the node channel comes before them.
+const std::vector<FilmChannel>& ChannelsOfGroup(bool has_features) {
+  static const std::vector<FilmChannel> kAll = MakeChannels(kNumFloatPlanes, kNumCountPlanes);
+  static const std::vector<FilmChannel> kLater =
+      MakeChannels(kNumRadiancePlanes, kNumLaterCountPlanes);
+  return has_features ? kAll : kLater;
 }
 
 std::string GroupPrefix(SampleRange range) {
@@ -84,6 +90,9 @@ absl::StatusOr<Groups> GroupNodes(const FilmFile& film, const PixelRect& region)
   for (const TileStatistics& node : film.nodes) {
     if (node.window().empty() || !region.Contains(node.window()) || node.range().empty()) {
       return absl::InvalidArgumentError("a node of the film lies outside the picture");
+    }
+    if (node.feature_end() != film.feature_end) {
+      return absl::InvalidArgumentError("the nodes of the film carry features of other samples");
     }
     groups[node.range()].push_back(&node);
   }
@@ -133,7 +142,7 @@ void ForEachWord(const PixelRect& window, const Band& band, std::span<const size
 
 void PutNode(const TileStatistics& node, uint32_t ordinal, const Band& band,
              std::span<const size_t> places) {
-  const std::vector<FilmChannel>& channels = ChannelsOfGroup();
+  const std::vector<FilmChannel>& channels = ChannelsOfGroup(node.has_features());
   ForEachWord(node.window(), band, places, [&](uint32_t& word, size_t c, size_t pixel) {
     if (c == 0) {
       word = ordinal;
@@ -149,7 +158,7 @@ void PutNode(const TileStatistics& node, uint32_t ordinal, const Band& band,
 }
 
 void TakeNode(const Band& band, std::span<const size_t> places, TileStatistics* node) {
-  const std::vector<FilmChannel>& channels = ChannelsOfGroup();
+  const std::vector<FilmChannel>& channels = ChannelsOfGroup(node->has_features());
   ForEachWord(node->window(), band, places, [&](uint32_t word, size_t c, size_t pixel) {
     if (c == 0) return;
     const FilmChannel& channel = channels[c - 1];
@@ -224,6 +233,13 @@ class FilmReader {
     if (!status.ok()) return status;
     film.settings = TextOf(metadata, kSettingsKey);
     film.version = TextOf(metadata, "version");
+    const auto feature_spp = metadata.find(std::string_view(kFeatureSppKey));
+    if (feature_spp != metadata.end()) {
+      const int64_t* value = std::get_if<int64_t>(&feature_spp->second);
+      feature_end_ = FeatureEndOf(value == nullptr ? -1 : *value);
+    }
+    if (!IsFeatureEnd(feature_end_)) return DamagedImage(path_, kFeatureSppKey);
+    film.feature_end = feature_end_;
     status = FindGroups();
     if (status.ok()) status = ForEachBand([this](const Band& band) { return FindNodes(band); });
     if (status.ok()) status = MakeNodes(&film);
@@ -262,7 +278,7 @@ class FilmReader {
         return DamagedImage(path_, absl::StrCat("channel ", name));
       }
       group.places.push_back(index);
-      for (const FilmChannel& channel : ChannelsOfGroup()) {
+      for (const FilmChannel& channel : ChannelsOfGroup(group.range.begin < feature_end_)) {
         const auto found = channels.find(absl::StrCat(GroupPrefix(group.range), channel.name));
         if (found == channels.end()) {
           return DamagedImage(path_,
@@ -315,7 +331,7 @@ class FilmReader {
         return DamagedImage(path_, "a node that is no rectangle");
       }
       bounds_.push_back(node);
-      film->nodes.emplace_back(node.window, groups_[node.group].range);
+      film->nodes.emplace_back(node.window, groups_[node.group].range, feature_end_);
     }
     return absl::OkStatus();
   }
@@ -353,6 +369,7 @@ class FilmReader {
   const std::string path_;
   OIIO::ImageInput& input_;
   PixelRect region_;
+  int64_t feature_end_ = kAllFeatures;
   std::vector<GroupLayout> groups_;       // ascending by range
   std::map<uint32_t, NodeBounds> found_;  // by ordinal
   std::vector<NodeBounds> bounds_;        // of film->nodes
@@ -375,7 +392,7 @@ absl::Status WriteFilmFile(const std::string& path, const FilmFile& film, const 
   uint32_t ordinal = 0;
   for (const auto& [range, nodes] : *groups) {
     header.channels.push_back({absl::StrCat(GroupPrefix(range), "node"), true});
-    for (const FilmChannel& channel : ChannelsOfGroup()) {
+    for (const FilmChannel& channel : ChannelsOfGroup(nodes.front()->has_features())) {
       header.channels.push_back({absl::StrCat(GroupPrefix(range), channel.name), channel.is_uint});
     }
     for (const TileStatistics* node : nodes) {
@@ -387,15 +404,16 @@ absl::Status WriteFilmFile(const std::string& path, const FilmFile& film, const 
   }
   header.metadata[kVersionKey] = kVersion;
   header.metadata[kSettingsKey] = film.settings;
+  header.metadata[kFeatureSppKey] = FeatureSppOf(film.feature_end);
   if (!non_finite.empty()) header.metadata[kNonFiniteKey] = non_finite;
   return WriteExr(path, header, [&](int y_begin, int y_end, std::span<uint32_t> words) {
     const Band band{y_begin, y_end, region, header.channels.size(), words};
     std::ranges::fill(words, 0);
     PutPicture(picture, band);
-    std::vector<size_t> places(ChannelsOfGroup().size() + 1);
     size_t place = picture.channels.size();
     uint32_t node_ordinal = 0;
     for (const auto& [range, nodes] : *groups) {
+      std::vector<size_t> places(ChannelsOfGroup(nodes.front()->has_features()).size() + 1);
       for (size_t& channel : places) channel = place++;
       for (const TileStatistics* node : nodes) PutNode(*node, ++node_ordinal, band, places);
     }

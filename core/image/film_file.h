@@ -5,9 +5,9 @@
 //   node               which node the pixel belongs to, 1-based in the order of the file; 0 = no
 //                      node of this range covers it
 //   A.radiance.mean.R  and so on to B.votes: each plane of TileStatistics for each half; zero
-//                      outside nodes
-// Metadata: film.version (1), film.settings (the caller's text), film.non_finite ("NODE:COUNT,...",
-// zeros left out).
+//                      outside nodes. Ranges without features lack the planes of features.
+// Metadata: film.version (2), film.settings (the caller's text), film.feature_spp (samples that
+// carry features, 0 = all), film.non_finite ("NODE:COUNT,...", zeros left out).
 #pragma once
 
 #include <cstdint>
@@ -23,10 +23,11 @@
 namespace tessera {
 
 struct FilmFile {
-  std::string settings;               // what the film was rendered with; opaque here
-  PixelRect region;                   // the data window
-  PixelRect frame;                    // the display window
-  std::vector<TileStatistics> nodes;  // ascending by range, then as they were written
+  std::string settings;                // what the film was rendered with; opaque here
+  int64_t feature_end = kAllFeatures;  // of every node
+  PixelRect region;                    // the data window
+  PixelRect frame;                     // the display window
+  std::vector<TileStatistics> nodes;   // ascending by range, then as they were written
   // The metadata `version` of the picture: of the program that rendered it; empty = unknown. Read,
   // not written.
   std::string version{};
@@ -36,8 +37,9 @@ struct FilmFile {
 inline constexpr int kFilmRangesMax = 1024;
 
 // Writes `picture` (its layers and metadata) and the film, whole or not at all. Nodes lie inside
-// picture.data_window; nodes of one range do not overlap; film.region and film.frame are not read.
-// Errors: INVALID_ARGUMENT for nodes that do not fit or too many ranges; as WriteExr.
+// picture.data_window; nodes of one range do not overlap; all end features at film.feature_end;
+// film.region and film.frame are not read. Errors: INVALID_ARGUMENT for nodes that do not fit or
+// too many ranges; as WriteExr.
 absl::Status WriteFilmFile(const std::string& path, const FilmFile& film, const Image& picture);
 
 // Reads the film of `path`; its picture is read by ReadImage.

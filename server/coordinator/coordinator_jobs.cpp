@@ -107,7 +107,7 @@ void Coordinator::On(CreateJobEvent& event) {
   SetTime(now_.unix_ms, job->record.mutable_create_time());
   const v1::JobSettings& s = job->record.settings();
   job->grid = TileGrid(RegionOf(s), s.tile_size());
-  job->film = event.film ? std::move(event.film) : std::make_shared<Film>(job->grid);
+  job->film = event.film ? std::move(event.film) : std::make_shared<Film>(EmptyFilmOf(s));
   if (FilmBytesOf(job->grid) > config_.film_bytes_max) {
     result_.status = absl::ResourceExhaustedError(absl::StrCat(
         "settings.width x settings.height: the film of this job needs ",
@@ -173,7 +173,8 @@ void Coordinator::On(RestoreJobEvent& event) {
   job->request_id = event.request_id;
   job->record = std::move(event.job);
   job->grid = TileGrid(RegionOf(*settings), settings->tile_size());
-  job->film = event.film ? std::move(event.film) : std::make_shared<Film>(job->grid);
+  job->film = event.film ? std::move(event.film)
+                         : std::make_shared<Film>(EmptyFilmOf(job->record.settings()));
   next_job_ = std::max(next_job_, job->id + 1);
   RememberRequest(job->request_id, "create", job->id);
   result_.job = job->id;
@@ -255,7 +256,7 @@ void Coordinator::On(FilmStoredEvent& event) {
 // Frees the memory of a film that nobody changes any more and that can be read from disk.
 void Coordinator::DropStoredFilm(Job& job) {
   if (!job.film_final_stored || !job.IsTerminal()) return;
-  job.film = std::make_shared<Film>(job.grid);
+  job.film = std::make_shared<Film>(EmptyFilmOf(job.record.settings()));
   CountFilm(job);
   waiting_changed_ = true;
 }

@@ -42,6 +42,11 @@ absl::Status Coordinator::CheckDelta(const Job& job, const DeltaEvent& event) co
     return absl::InvalidArgumentError(absl::StrCat(
         "delta of ", delta.job(), ": tile_index ", delta.tile_index(), " or window is wrong"));
   }
+  if (event.tile.feature_end() != job.film->feature_end()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("delta of ", delta.job(), ": features end at sample ",
+                     event.tile.feature_end(), ", the job's at ", job.film->feature_end()));
+  }
   const Unit unit{delta.tile_index(), event.tile.range()};
   const int64_t samples = unit.range.size() * event.tile.num_pixels();
   if (!unit.range.IsNode() || delta.rays() < 0 || delta.rays() / kRaysPerSampleMax > samples) {

@@ -69,6 +69,10 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
     return Invalid("settings.max_depth is ", s.max_depth(), ": give 0 to ", kMaxDepthMax,
                    " bounces");
   }
+  if (!IsFeatureEnd(FeatureEndOf(s.feature_spp()))) {
+    return Invalid("settings.feature_spp is ", s.feature_spp(),
+                   ": give a power of two such as 64, or 0 for every sample");
+  }
   if (!std::isfinite(s.target_error()) || s.target_error() < 0) {
     return Invalid("settings.target_error is ", s.target_error(),
                    ": give a positive number such as 0.02, or 0 for none");
@@ -197,6 +201,7 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
   }
   if (settings.isa().empty()) settings.set_isa(IsaClasses().front());
   if (settings.tile_size() == 0) settings.set_tile_size(defaults.tile_size);
+  if (!settings.has_feature_spp()) settings.set_feature_spp(defaults.feature_spp);
   if (settings.quality() == v1::QUALITY_UNSPECIFIED) settings.set_quality(v1::QUALITY_FINAL);
   if (settings.denoiser().empty() && !defaults.denoisers.empty()) {
     settings.set_denoiser(defaults.denoisers.front());
@@ -219,6 +224,11 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
   // Needs a frame that is possible.
   if (absl::Status status = CheckReplay(settings); !status.ok()) return status;
   return settings;
+}
+
+Film EmptyFilmOf(const v1::JobSettings& settings) {
+  return Film(TileGrid(RegionOf(settings), settings.tile_size()),
+              FeatureEndOf(settings.feature_spp()));
 }
 
 PixelRect RegionOf(const v1::JobSettings& settings) {

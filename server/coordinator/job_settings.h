@@ -6,6 +6,7 @@
 
 #include "absl/status/statusor.h"
 #include "core/base/pixel_rect.h"
+#include "core/film/film.h"
 #include "tessera/v1/job.pb.h"
 
 namespace tessera {
@@ -13,6 +14,7 @@ namespace tessera {
 // What stands in for fields that a client left empty.
 struct SettingsDefaults {
   int tile_size = 32;
+  int64_t feature_spp = 64;            // docs/decisions/0004
   std::vector<std::string> denoisers;  // known names, the default first
 };
 
@@ -23,6 +25,9 @@ const std::vector<std::string>& IsaClasses();
 // Errors: INVALID_ARGUMENT naming the field, its value and the remedy.
 absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
                                                  const SettingsDefaults& defaults);
+
+// A film without samples for a job with complete settings.
+Film EmptyFilmOf(const v1::JobSettings& settings);
 
 // The pixels that a job with complete settings renders.
 PixelRect RegionOf(const v1::JobSettings& settings);

@@ -38,10 +38,10 @@ void CopyPixels(const TileStatistics& from, const PixelRect& rect, TileStatistic
     }
   };
   for (int half = 0; half < kNumHalves; ++half) {
-    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+    for (int plane = 0; plane < from.num_float_planes(); ++plane) {
       copy_plane(from.Floats(half, plane), to->Floats(half, plane));
     }
-    for (int plane = 0; plane < kNumCountPlanes; ++plane) {
+    for (int plane = 0; plane < from.num_count_planes(); ++plane) {
       copy_plane(from.Counts(half, plane), to->Counts(half, plane));
     }
   }
@@ -70,6 +70,7 @@ absl::Status CheckSameSamples(const v1::JobSettings& film, const v1::JobSettings
   check(film.max_depth() == job.max_depth(), "max_depth");
   check(film.seed() == job.seed(), "seed");
   check(film.isa() == job.isa(), "isa");
+  check(film.feature_spp() == job.feature_spp(), "feature_spp");
   if (differences.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(
       "continue_film_sha256: the film was rendered with other settings: ",
@@ -84,7 +85,9 @@ std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid) {
       const PixelRect window = grid.WindowOf(tile);
       const PixelRect shared = window.Intersect(node.window());
       Cut& cut = cuts[static_cast<size_t>(tile)][node.range()];
-      if (cut.pixels == 0) cut.statistics = TileStatistics(window, node.range());
+      if (cut.pixels == 0) {
+        cut.statistics = TileStatistics(window, node.range(), file.feature_end);
+      }
       CopyPixels(node, shared, &cut.statistics);
       cut.pixels += shared.area();
       // Which of the node's pixels they were is not recorded: only the sum is kept.
@@ -93,7 +96,7 @@ std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid) {
       non_finite -= here;
     }
   }
-  auto film = std::make_shared<Film>(grid);
+  auto film = std::make_shared<Film>(grid, file.feature_end);
   for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
     for (auto& [range, cut] : cuts[static_cast<size_t>(tile)]) {
       if (cut.pixels != grid.WindowOf(tile).area()) continue;
@@ -124,6 +127,11 @@ absl::StatusOr<std::shared_ptr<Film>> ReadContinuedFilm(const std::string& path,
         "film");
   }
   if (absl::Status status = CheckSameSamples(settings, job); !status.ok()) return status;
+  if (file->feature_end != FeatureEndOf(job.feature_spp())) {
+    return absl::InvalidArgumentError(
+        "continue_film_sha256: the film's planes and its settings disagree on feature_spp: write "
+        "it anew with --layers film");
+  }
   if (file->region != RegionOf(job)) {
     return absl::InvalidArgumentError("continue_film_sha256: the film shows another region");
   }

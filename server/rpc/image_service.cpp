@@ -158,6 +158,7 @@ class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
     *node.mutable_window() = RegionProto(statistics.window());
     node.set_sample_begin(statistics.range().begin);
     node.set_sample_end(statistics.range().end);
+    node.set_feature_end(statistics.feature_end());
     node.set_encoding(static_cast<uint32_t>(delta.encoding));
     node.set_payload(std::move(delta.payload));
     node.set_payload_bytes(delta.payload_bytes);

@@ -34,7 +34,7 @@ absl::StatusOr<DeltaEvent> DecodeEvent(SessionId session, v1::TileDelta* delta) 
   DeltaEvent event{.session = session};
   event.wire_bytes = static_cast<int64_t>(delta->ByteSizeLong());
   absl::StatusOr<TileStatistics> tile =
-      DecodeDelta(RectOf(window), range, delta->encoding(), delta->payload());
+      DecodeDelta(RectOf(window), range, delta->feature_end(), delta->encoding(), delta->payload());
   if (!tile.ok()) return tile.status();
   event.tile = *std::move(tile);
   delta->clear_payload();

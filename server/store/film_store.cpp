@@ -71,26 +71,27 @@ class HashedReader {
   Sha256 hash_;
 };
 
-bool ReadNode(HashedReader& file, const PixelRect& window, std::string& payload,
-              TileStatistics* node) {
+bool ReadNode(HashedReader& file, const PixelRect& window, int64_t feature_end,
+              std::string& payload, TileStatistics* node) {
   NodeHeader header;
   if (!file.Read(&header, sizeof(header))) return false;
   const SampleRange range{header.begin, header.end};
   if (range.begin < 0 || !range.IsNode() || header.payload_bytes > kPayloadBytesMax) return false;
   payload.resize(header.payload_bytes);
   if (!file.Read(payload.data(), payload.size())) return false;
-  absl::StatusOr<TileStatistics> decoded = DecodeDelta(window, range, header.encoding, payload);
+  absl::StatusOr<TileStatistics> decoded =
+      DecodeDelta(window, range, feature_end, header.encoding, payload);
   if (!decoded.ok()) return false;
   *node = *std::move(decoded);
   return true;
 }
 
-bool ReadFilm(HashedReader& file, const TileGrid& grid, StoredFilm* stored) {
+bool ReadFilm(HashedReader& file, const TileGrid& grid, int64_t feature_end, StoredFilm* stored) {
   char magic[sizeof(kMagic)];
   if (!file.Read(magic, sizeof(magic)) || std::memcmp(magic, kMagic, sizeof(magic)) != 0) {
     return false;
   }
-  stored->film = std::make_shared<Film>(grid);
+  stored->film = std::make_shared<Film>(grid, feature_end);
   stored->costs.resize(static_cast<size_t>(grid.num_tiles()));
   TileHeader header;
   std::string payload;
@@ -105,7 +106,7 @@ bool ReadFilm(HashedReader& file, const TileGrid& grid, StoredFilm* stored) {
     last = header.tile;
     stored->costs[static_cast<size_t>(last)] = {header.rays, header.delta_bytes, header.render_ns};
     for (uint32_t i = 0; i < header.num_nodes; ++i) {
-      if (!ReadNode(file, grid.WindowOf(last), payload, &node) ||
+      if (!ReadNode(file, grid.WindowOf(last), feature_end, payload, &node) ||
           !stored->film->Accept(last, std::move(node)).ok()) {
         return false;
       }
@@ -191,12 +192,13 @@ absl::Status FilmStore::Save(uint64_t job, int64_t num_tiles, const TileSource& 
   return status;
 }
 
-absl::StatusOr<StoredFilm> FilmStore::Load(uint64_t job, const TileGrid& grid) const {
+absl::StatusOr<StoredFilm> FilmStore::Load(uint64_t job, const TileGrid& grid,
+                                           int64_t feature_end) const {
   const std::string path = PathOf(job);
   HashedReader file(path);
   if (!file.is_open()) return absl::NotFoundError(absl::StrCat(path, " does not exist"));
   StoredFilm stored;
-  if (ReadFilm(file, grid, &stored)) return stored;
+  if (ReadFilm(file, grid, feature_end, &stored)) return stored;
   return absl::DataLossError(absl::StrCat(path, " is damaged, or of another version"));
 }
 

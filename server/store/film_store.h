@@ -37,8 +37,10 @@ class FilmStore {
   using TileSource = std::function<Tile(int64_t tile)>;
   // Writes the film of `job`; the one before it stays until all is written. Errors: as OutputFile.
   absl::Status Save(uint64_t job, int64_t num_tiles, const TileSource& source) const;
-  // Errors: NOT_FOUND if none was saved; DATA_LOSS if it is damaged or of another grid.
-  absl::StatusOr<StoredFilm> Load(uint64_t job, const TileGrid& grid) const;
+  // Errors: NOT_FOUND if none was saved; DATA_LOSS if it is damaged, of another grid or of another
+  // rule for features.
+  absl::StatusOr<StoredFilm> Load(uint64_t job, const TileGrid& grid,
+                                  int64_t feature_end = kAllFeatures) const;
   void Remove(uint64_t job) const;
   // Removes films of jobs that do not exist any more; returns how many there were.
   int RemoveAllBut(const std::set<uint64_t>& jobs) const;

@@ -318,7 +318,7 @@ TEST_F(FarmClientTest, ImageOfImpossibleSizeIsRefusedBeforeItsPixels) {
 }
 
 TEST_F(FarmClientTest, FilmArrivesNodeByNode) {
-  TileStatistics node(PixelRect::FromSize(0, 0, 2, 2), {0, 4});
+  TileStatistics node(PixelRect::FromSize(0, 0, 2, 2), {0, 4}, 2);
   const EncodedDelta encoded = EncodeDelta(node, DeltaEncoding::kPacked);
   std::string payload = encoded.payload;
   farm_.images.film = [&](grpc::ServerWriter<v1::GetFilmResponse>* writer) {
@@ -326,6 +326,7 @@ TEST_F(FarmClientTest, FilmArrivesNodeByNode) {
     response.mutable_node()->mutable_window()->set_width(2);
     response.mutable_node()->mutable_window()->set_height(2);
     response.mutable_node()->set_sample_end(4);
+    response.mutable_node()->set_feature_end(2);
     response.mutable_node()->set_encoding(static_cast<uint32_t>(encoded.encoding));
     response.mutable_node()->set_payload(payload);
     writer->Write(response);

@@ -52,6 +52,7 @@ v1::JobSettings SmallJob(const v1::AssetRef& scene, int64_t spp, int tile_size) 
   settings.set_height(64);
   settings.set_spp(spp);
   settings.set_max_depth(4);
+  settings.set_feature_spp(8);  // so that jobs have samples with and without features
   settings.set_seed(11);
   settings.set_tile_size(tile_size);
   settings.set_denoiser("none");

@@ -149,6 +149,7 @@ v1::WorkerMessage DeltaOf(const v1::Lease& lease, std::string payload) {
   *delta->mutable_window() = lease.window();
   delta->set_sample_begin(lease.sample_begin());
   delta->set_sample_end(lease.sample_end());
+  delta->set_feature_end(8);  // as SmallJob says
   delta->set_payload(std::move(payload));
   delta->set_encoding(2);
   delta->set_payload_bytes(100);

@@ -51,7 +51,7 @@ std::string BareDigest(int64_t spp, int tile_size, Partition partition) {
   const auto tracer = PathTracer::Create(*std::move(scene), RenderSettingsOf(settings, 1));
   if (!tracer.ok()) return tracer.status().ToString();
   const TileGrid grid(PixelRect::FromSize(0, 0, settings.width(), settings.height()), tile_size);
-  Film film(grid);
+  Film film(grid, FeatureEndOf(settings.feature_spp()));
   std::vector<SampleRange> ranges = RangesOf(partition, spp);
   if (partition == Partition::kQuads) std::reverse(ranges.begin(), ranges.end());
   for (const SampleRange& range : ranges) {

@@ -14,8 +14,9 @@ namespace {
 TEST(CutFilm, OtherTilesGiveTheSameFilm) {
   const PixelRect region = PixelRect::FromSize(2, 1, 37, 21);
   const TileGrid from(region, 8);
-  const Film film = SyntheticFilm(1, from, 13);
+  const Film film = SyntheticFilm(1, from, 13, 4);
   FilmFile file;
+  file.feature_end = 4;
   file.region = region;
   for (int64_t tile = 0; tile < from.num_tiles(); ++tile) {
     for (const TileStatistics& node : film.Nodes(tile)) file.nodes.push_back(node);
@@ -77,10 +78,12 @@ TEST(CheckSameSamples, NamesWhatDiffers) {
   EXPECT_TRUE(CheckSameSamples(film, job).ok());
   job.set_seed(9);
   job.set_max_depth(2);
+  job.set_feature_spp(0);
   const absl::Status status = CheckSameSamples(film, job);
   EXPECT_TRUE(absl::IsInvalidArgument(status));
   EXPECT_NE(status.message().find("seed"), absl::string_view::npos);
   EXPECT_NE(status.message().find("max_depth"), absl::string_view::npos);
+  EXPECT_NE(status.message().find("feature_spp"), absl::string_view::npos);
 }
 
 }  // namespace

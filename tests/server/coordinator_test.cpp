@@ -357,6 +357,20 @@ TEST(Coordinator, AMalformedDeltaClosesItsSessionOnly) {
   EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(SmallSettings(4), 4));
 }
 
+TEST(Coordinator, FeaturesOfOtherSamplesAreRefused) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings());
+  const SessionId odd = farm.Connect(), good = farm.Connect();
+  const v1::Lease lease = farm.workers[odd].leases.front();
+  DeltaEvent event = farm.Render(odd, lease);
+  event.tile = TileStatistics(event.tile.window(), event.tile.range(), kAllFeatures);
+  EXPECT_TRUE(absl::IsInvalidArgument(farm.Post(std::move(event)).status));
+  EXPECT_TRUE(farm.workers[odd].closed.has_value());
+  EXPECT_FALSE(farm.workers[good].closed.has_value());
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(SmallSettings(), 16));
+}
+
 TEST(Coordinator, ARangeThatWasNotAskedForIsNotMerged) {
   SimulatedFarm farm;
   const JobId job = farm.Create(SmallSettings(16));

@@ -15,12 +15,24 @@ const SettingsDefaults kDefaults{.tile_size = 32, .denoisers = {"bilateral", "no
 TEST(CompleteSettings, FillsDefaults) {
   v1::JobSettings settings = SmallSettings();
   settings.clear_tile_size();
+  settings.clear_feature_spp();
   const absl::StatusOr<v1::JobSettings> complete = CompleteSettings(settings, kDefaults);
   ASSERT_TRUE(complete.ok()) << complete.status();
   EXPECT_EQ(complete->tile_size(), 32);
   EXPECT_EQ(complete->isa(), "x86-64-v3");
   EXPECT_EQ(complete->denoiser(), "bilateral");
   EXPECT_EQ(complete->quality(), v1::QUALITY_FINAL);
+  EXPECT_EQ(complete->feature_spp(), kDefaults.feature_spp);
+}
+
+TEST(CompleteSettings, ZeroFeatureSamplesMeanAllOfThem) {
+  v1::JobSettings settings = SmallSettings();
+  settings.set_feature_spp(0);
+  const absl::StatusOr<v1::JobSettings> complete = CompleteSettings(settings, kDefaults);
+  ASSERT_TRUE(complete.ok()) << complete.status();
+  EXPECT_EQ(complete->feature_spp(), 0);
+  EXPECT_EQ(EmptyFilmOf(*complete).feature_end(), kAllFeatures);
+  EXPECT_EQ(EmptyFilmOf(SmallSettings()).feature_end(), SmallSettings().feature_spp());
 }
 
 TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
@@ -48,6 +60,9 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
       {"spp", [](auto* s) { s->set_spp(0); }},
       {"spp", [](auto* s) { s->set_spp(int64_t{1} << 40); }},
       {"max_depth", [](auto* s) { s->set_max_depth(-1); }},
+      {"feature_spp", [](auto* s) { s->set_feature_spp(48); }},
+      {"feature_spp", [](auto* s) { s->set_feature_spp(-64); }},
+      {"feature_spp", [](auto* s) { s->set_feature_spp(int64_t{1} << 40); }},
       {"target_error",
        [](auto* s) { s->set_target_error(std::numeric_limits<double>::quiet_NaN()); }},
       {"max_time", [](auto* s) { s->mutable_max_time()->set_seconds(-1); }},

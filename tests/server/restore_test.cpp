@@ -76,7 +76,7 @@ class RestoreTest : public testing::Test {
   }
   void PutFilm(JobId id, int64_t spp) {
     const TileGrid grid(RegionOf(settings_), settings_.tile_size());
-    const Film film = SyntheticFilm(0, grid, spp);
+    const Film film = SyntheticFilm(0, grid, spp, FeatureEndOf(settings_.feature_spp()));
     ASSERT_TRUE(run_->films
                     ->Save(id, grid.num_tiles(),
                            [&](int64_t tile) {

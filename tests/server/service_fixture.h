@@ -1,12 +1,12 @@
 // A service on loopback with a worker that the test plays itself, over real gRPC.
 #pragma once
 
+#include <grpcpp/grpcpp.h>
+#include <gtest/gtest.h>
+
 #include <memory>
 #include <string>
 #include <thread>
-
-#include <grpcpp/grpcpp.h>
-#include <gtest/gtest.h>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/version.h"
@@ -41,9 +41,9 @@ class SyntheticWorker {
  private:
   void Run() {
     v1::CoordinatorMessage message;
-    std::map<std::string, uint64_t> seeds;
+    std::map<std::string, v1::JobSettings> specs;
     while (stream_->Read(&message)) {
-      if (message.has_job()) seeds[message.job().job()] = message.job().settings().seed();
+      if (message.has_job()) specs[message.job().job()] = message.job().settings();
       if (!message.has_lease()) continue;
       const v1::Lease& lease = message.lease();
       v1::WorkerMessage answer;
@@ -54,10 +54,12 @@ class SyntheticWorker {
       *delta.mutable_window() = lease.window();
       delta.set_sample_begin(lease.sample_begin());
       delta.set_sample_end(lease.sample_end());
-      EncodedDelta encoded =
-          EncodeDelta(SyntheticTile(seeds[lease.job()], RectOf(lease.window()),
-                                    {lease.sample_begin(), lease.sample_end()}),
-                      DeltaEncoding::kPackedZstd);
+      const v1::JobSettings& spec = specs[lease.job()];
+      delta.set_feature_end(FeatureEndOf(spec.feature_spp()));
+      EncodedDelta encoded = EncodeDelta(
+          SyntheticTile(spec.seed(), RectOf(lease.window()),
+                        {lease.sample_begin(), lease.sample_end()}, delta.feature_end()),
+          DeltaEncoding::kPackedZstd);
       delta.set_payload(std::move(encoded.payload));
       delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
       delta.set_payload_bytes(encoded.payload_bytes);
@@ -131,18 +133,17 @@ class ServiceFixture : public testing::Test {
     request.set_job(job.name());
     const auto reader = images->GetFilm(&context, request);
     v1::GetFilmResponse response;
-    const TileGrid grid(RegionOf(job.settings()), job.settings().tile_size());
-    Film film(grid);
+    Film film = EmptyFilmOf(job.settings());
     while (reader->Read(&response)) {
       const v1::FilmNode& node = response.node();
       absl::StatusOr<TileStatistics> tile =
           DecodeDelta(RectOf(node.window()), {node.sample_begin(), node.sample_end()},
-                      node.encoding(), node.payload());
+                      node.feature_end(), node.encoding(), node.payload());
       if (!tile.ok()) {
         ADD_FAILURE() << tile.status();
         break;
       }
-      const int64_t index = grid.TilesIn(RectOf(node.window())).at(0);
+      const int64_t index = film.grid().TilesIn(RectOf(node.window())).at(0);
       EXPECT_TRUE(film.Accept(index, *std::move(tile)).ok());
     }
     EXPECT_TRUE(reader->Finish().ok());

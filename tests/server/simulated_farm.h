@@ -26,6 +26,7 @@ inline v1::JobSettings SmallSettings(int64_t spp = 16) {
   settings.set_spp(spp);
   settings.set_tile_size(8);
   settings.set_max_depth(8);
+  settings.set_feature_spp(4);
   return settings;
 }
 
@@ -110,9 +111,10 @@ class SimulatedFarm {
     event.delta.set_tile_index(lease.tile_index());
     event.delta.set_rays(5);
     event.wire_bytes = 100;
-    const uint64_t seed = workers[session].specs[lease.job()].seed();
-    event.tile = SyntheticTile(seed, RectOf(lease.window()),
-                               {lease.sample_begin(), lease.sample_end()});
+    const v1::JobSettings& spec = workers[session].specs[lease.job()];
+    event.tile =
+        SyntheticTile(spec.seed(), RectOf(lease.window()),
+                      {lease.sample_begin(), lease.sample_end()}, FeatureEndOf(spec.feature_spp()));
     return event;
   }
   // The worker finishes its oldest lease. Returns false if it has none.
@@ -154,9 +156,8 @@ class SimulatedFarm {
     if (message.has_lease()) worker.leases.push_back(message.lease());
     if (message.has_forget()) worker.forgotten.push_back(message.forget().job());
     if (message.has_revoke()) {
-      std::erase_if(worker.leases, [&](const v1::Lease& lease) {
-        return lease.id() == message.revoke().id();
-      });
+      std::erase_if(worker.leases,
+                    [&](const v1::Lease& lease) { return lease.id() == message.revoke().id(); });
     }
   }
   void Apply(const CloseSessionEffect& effect) {

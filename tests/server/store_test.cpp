@@ -64,16 +64,17 @@ FilmStore::TileSource TilesOf(const Film& film) {
 TEST_F(StoreTest, FilmsComeBackBitForBit) {
   auto films = *FilmStore::Open(dir_ + "/films");
   const TileGrid grid(PixelRect::FromSize(3, 2, 19, 10), 8);
-  const Film film = SyntheticFilm(4, grid, 21);
+  const Film film = SyntheticFilm(4, grid, 21, 8);
   ASSERT_TRUE(films->Save(5, grid.num_tiles(), TilesOf(film)).ok());
-  const auto loaded = films->Load(5, grid);
+  const auto loaded = films->Load(5, grid, 8);
   ASSERT_TRUE(loaded.ok()) << loaded.status();
   EXPECT_EQ(loaded->film->Digest(), film.Digest());
   EXPECT_EQ(loaded->film->samples(), film.samples());
   ASSERT_EQ(std::ssize(loaded->costs), grid.num_tiles());
   EXPECT_EQ(loaded->costs[2], (TileCost{.rays = 12, .delta_bytes = 3, .render_ns = 7}));
-  EXPECT_TRUE(absl::IsNotFound(films->Load(6, grid).status()));
-  EXPECT_TRUE(absl::IsDataLoss(films->Load(5, TileGrid(grid.region(), 7)).status()));
+  EXPECT_TRUE(absl::IsNotFound(films->Load(6, grid, 8).status()));
+  EXPECT_TRUE(absl::IsDataLoss(films->Load(5, TileGrid(grid.region(), 7), 8).status()));
+  EXPECT_TRUE(absl::IsDataLoss(films->Load(5, grid, 4).status()));
 }
 
 TEST_F(StoreTest, TornAndTouchedFilmsAreRecognised) {

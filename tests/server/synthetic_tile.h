@@ -18,12 +18,13 @@ inline uint64_t MixBits(uint64_t x) {
   return x ^ (x >> 31);
 }
 
-inline TileStatistics SyntheticTile(uint64_t seed, const PixelRect& window, SampleRange range) {
-  TileStatistics tile(window, range);
+inline TileStatistics SyntheticTile(uint64_t seed, const PixelRect& window, SampleRange range,
+                                    int64_t feature_end = kAllFeatures) {
+  TileStatistics tile(window, range, feature_end);
   PixelFolder folder;
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
-      folder.Begin(range);
+      folder.Begin(range, feature_end);
       for (int64_t i = range.begin; i < range.end; ++i) {
         uint64_t bits = MixBits(MixBits(seed * 65537 + static_cast<uint64_t>(y)) * 65537 +
                                 static_cast<uint64_t>(x) * 1048583 + static_cast<uint64_t>(i));
@@ -45,11 +46,12 @@ inline TileStatistics SyntheticTile(uint64_t seed, const PixelRect& window, Samp
 }
 
 // The film of one process that renders all of [0, spp) at once.
-inline Film SyntheticFilm(uint64_t seed, const TileGrid& grid, int64_t spp) {
-  Film film(grid);
+inline Film SyntheticFilm(uint64_t seed, const TileGrid& grid, int64_t spp,
+                          int64_t feature_end = kAllFeatures) {
+  Film film(grid, feature_end);
   for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
     for (const SampleRange& range : MaximalNodes({0, spp})) {
-      (void)film.Accept(tile, SyntheticTile(seed, grid.WindowOf(tile), range));
+      (void)film.Accept(tile, SyntheticTile(seed, grid.WindowOf(tile), range, feature_end));
     }
   }
   return film;

@@ -69,7 +69,7 @@ class TileFolder {
       : tile_(*tile), x_(tile->window().x_begin), y_(tile->window().y_begin) {}
 
   void Add(PixelSample* sample) {
-    if (num_added_ == 0) folder_.Begin(tile_.range());
+    if (num_added_ == 0) folder_.Begin(tile_.range(), tile_.feature_end());
     if (ReplaceNonFinite(sample)) ++tile_.non_finite;
     folder_.Add(*sample);
     if (++num_added_ < tile_.range().size()) return;
@@ -92,7 +92,7 @@ class TileFolder {
 class PathQueue {
  public:
   PathQueue(const PathWalker& walker, uint64_t seed, TileStatistics* tile)
-      : walker_(walker), seed_(seed), tile_(tile) {}
+      : walker_(walker), seed_(seed), feature_end_(tile->feature_end()), tile_(tile) {}
 
   // Begins a pixel, whose samples follow.
   void BeginPixel(int x, int y) {
@@ -106,7 +106,8 @@ class PathQueue {
 
   void Add(int64_t sample) {
     SequenceSeeds* seeds = &seeds_[pixel_][sample & 1];
-    requests_[num_paths_++] = {SobolSampler(seeds->key(), sample), seeds, x_, y_};
+    requests_[num_paths_++] = {SobolSampler(seeds->key(), sample), seeds, x_, y_,
+                               sample < feature_end_};
     if (num_paths_ == PathWalker::kPathsMax) Flush();
   }
 
@@ -122,6 +123,7 @@ class PathQueue {
  private:
   const PathWalker& walker_;
   const uint64_t seed_;
+  const int64_t feature_end_;
   TileFolder tile_;
   int x_ = 0, y_ = 0, pixel_ = 0;
   int num_paths_ = 0;
@@ -140,7 +142,7 @@ absl::StatusOr<TileStatistics> PathTracer::Render(const PixelRect& window, Sampl
     return absl::InvalidArgumentError(
         absl::StrCat("samples [", node.begin, ", ", node.end, ") are no node of the folding tree"));
   }
-  TileStatistics tile(window, node);
+  TileStatistics tile(window, node, impl_->settings.feature_end);
   PathQueue queue(*impl_->walker, impl_->settings.seed, &tile);
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {

@@ -21,6 +21,7 @@ struct RenderSettings {
   int height = 360;
   int max_depth = 8;  // bounces after the camera hit
   uint64_t seed = 0;
+  int64_t feature_end = kAllFeatures;  // samples below it carry features (TileStatistics)
   std::string isa = "x86-64-v3";
   int build_threads = 1;  // for Embree's BVH; moves no bit of the picture
 };

@@ -66,7 +66,7 @@ struct PathWalker::PathState {
   Ray ray;  // unit direction
   RayHit hit;
   V3f medium = V3f(0, 0, 0);   // absorption where the ray is, 1/m, as the last boundary says
-  bool seeks_features = true;  // only mirrors and clear glass were met so far
+  bool seeks_features;  // features are asked for, and only mirrors and clear glass were met so far
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);
   int depth = 0;          // surfaces scattered at so far
@@ -127,6 +127,7 @@ float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) 
 
 void PathWalker::Start(const PathRequest& request, PathState* path) const {
   path->request = &request;
+  path->seeks_features = request.with_features;
   path->hash_key = request.sampler.HashKey();
   const SobolSampler::Points numbers = request.sampler.Get4x2D(kPixelGroup, request.seeds);
   const V2f in_pixel = numbers[kPixelGroup];
@@ -226,7 +227,7 @@ bool PathWalker::Arrive(PathState* path, PixelSample* sample) const {
   const bool scatters = !surface.unlit && wo.z > 1e-6f;
   if (path->depth == 0) {
     sample->depth = hit.t;
-    sample->material_id = surface.material + 1;
+    if (path->request->with_features) sample->material_id = surface.material + 1;
   }
   if (!scatters || path->depth > max_depth_) {
     if (surface.unlit && path->seeks_features) {

@@ -19,11 +19,12 @@ namespace tessera {
 enum class LightStrategy { kBoth, kBsdfOnly, kLightsOnly };
 
 // One sample to take: `sampler`'s, in pixel (x, y) of the frame. `seeds` are of its sequence;
-// others of the same sequence may share them.
+// others of the same sequence may share them. Without features, of these only depth is filled.
 struct PathRequest {
   SobolSampler sampler = SobolSampler(0, 0);
   SequenceSeeds* seeds = nullptr;
   int x = 0, y = 0;
+  bool with_features = true;
 };
 
 class PathWalker {

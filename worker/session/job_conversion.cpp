@@ -77,6 +77,7 @@ RenderSettings RenderSettingsOf(const v1::JobSettings& settings, int build_threa
   render.height = settings.height();
   render.max_depth = settings.max_depth();
   render.seed = settings.seed();
+  render.feature_end = FeatureEndOf(settings.feature_spp());
   render.isa = settings.isa().empty() ? kDefaultIsaClass : settings.isa();
   render.build_threads = build_threads;
   return render;
@@ -92,6 +93,7 @@ std::string SceneKeyOf(const v1::JobSettings& settings) {
   scene.set_height(settings.height());
   scene.set_max_depth(settings.max_depth());
   scene.set_seed(settings.seed());
+  scene.set_feature_spp(settings.feature_spp());
   scene.set_isa(settings.isa().empty() ? kDefaultIsaClass : settings.isa());
   return ToHex(Sha256Of(scene.SerializeAsString()));  // no maps inside: one serialisation
 }

@@ -91,6 +91,7 @@ absl::StatusOr<v1::TileDelta> RenderPool::Render(const Task& task) const {
   *delta.mutable_window() = region;
   delta.set_sample_begin(range.begin);
   delta.set_sample_end(range.end);
+  delta.set_feature_end(tile->feature_end());
   delta.set_payload(std::move(encoded.payload));
   delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
   delta.set_payload_bytes(encoded.payload_bytes);

@@ -76,18 +76,29 @@ class Render(CommandLineCase):
 
 class Continue(CommandLineCase):
     def test_more_samples_give_the_bits_of_one_render(self):
-        whole = self.expect_json("render", "triangle.glb", "-o", "w.exr", "--size", "40x24",
-                                 "--spp", "11")
-        self.expect_done("render", "triangle.glb", "-o", "film.exr", "--layers", "film", *SMALL)
-        more = self.expect_json("render", "triangle.glb", "--continue", "film.exr", "-o", "m.exr",
-                                "--spp", "11")
-        self.assertEqual(more["digest"], whole["digest"])
-        self.assertEqual(more["samples"], whole["samples"])
+        digests = set()
+        # The film has more samples than carry features, exactly as many, fewer, and all.
+        for features in ("2", "4", "8", "all"):
+            flags = ["--feature-spp", features]
+            whole = self.expect_json("render", "triangle.glb", "-o", "w.exr", "--size", "40x24",
+                                     "--spp", "11", *flags)
+            self.expect_done("render", "triangle.glb", "-o", "film.exr", "--layers", "film",
+                             *SMALL, *flags)
+            more = self.expect_json("render", "triangle.glb", "--continue", "film.exr", "-o",
+                                    "m.exr", "--spp", "11")
+            self.assertEqual(more["digest"], whole["digest"])
+            self.assertEqual(more["samples"], whole["samples"])
+            digests.add(whole["digest"])
+        self.assertEqual(len(digests), 4)
 
     def test_other_settings_are_refused(self):
         self.expect_done("render", "triangle.glb", "-o", "film.exr", "--layers", "film", *SMALL)
         self.expect_error(2, ["--seed", "--max-depth"], "render", "triangle.glb", "--continue",
                           "film.exr", "-o", "m.exr", "--seed", "9", "--max-depth", "1")
+        self.expect_error(2, ["--feature-spp", "the film's is 64"], "render", "triangle.glb",
+                          "--continue", "film.exr", "-o", "m.exr", "--feature-spp", "16")
+        self.expect_error(2, ["--feature-spp 48", "power of two"], "render", "triangle.glb", "-o",
+                          "m.exr", "--feature-spp", "48")
         self.expect_error(2, ["--spp 3", "4 samples"], "render", "triangle.glb", "--continue",
                           "film.exr", "-o", "m.exr", "--spp", "3")
         self.expect_done("render", "triangle.glb", "-o", "plain.exr", *SMALL)

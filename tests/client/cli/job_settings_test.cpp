@@ -42,6 +42,7 @@ TEST(SettingsFromFlags, AllFlags) {
   flags.target_error = "0.02";
   flags.max_time = "1.5";
   flags.max_depth = "0";
+  flags.feature_spp = "32";
   flags.seed = "18446744073709551615";
   flags.isa = "x86-64-v3";
   flags.sky = "2,2,2";
@@ -59,10 +60,27 @@ TEST(SettingsFromFlags, AllFlags) {
   EXPECT_EQ(settings->max_time().seconds(), 1);
   EXPECT_EQ(settings->max_time().nanos(), 500000000);
   EXPECT_EQ(settings->max_depth(), 0);
+  EXPECT_EQ(settings->feature_spp(), 32);
   EXPECT_EQ(settings->seed(), UINT64_MAX);
   EXPECT_EQ(settings->environment().sky().y(), 2);
   EXPECT_EQ(settings->quality(), v1::QUALITY_PREVIEW);
   EXPECT_EQ(settings->priority(), -3);
+}
+
+TEST(SettingsFromFlags, FeatureSamplesAreAPowerOfTwoOrAll) {
+  SceneFlags flags;
+  EXPECT_FALSE(SettingsFromFlags(flags, nullptr)->has_feature_spp());
+  for (const char* text : {"all", "0"}) {
+    flags.feature_spp = text;
+    const auto settings = SettingsFromFlags(flags, nullptr);
+    ASSERT_TRUE(settings.ok()) << settings.status();
+    EXPECT_TRUE(settings->has_feature_spp());
+    EXPECT_EQ(settings->feature_spp(), 0);
+  }
+  for (const char* text : {"3", "-4", "many"}) {
+    flags.feature_spp = text;
+    EXPECT_TRUE(absl::IsInvalidArgument(SettingsFromFlags(flags, nullptr).status())) << text;
+  }
 }
 
 TEST(SettingsFromFlags, AnErrorTargetAloneLeavesTheBudgetOpen) {

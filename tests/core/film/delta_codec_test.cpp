@@ -18,15 +18,15 @@ namespace {
 constexpr DeltaEncoding kEncodings[] = {DeltaEncoding::kPacked, DeltaEncoding::kPackedZstd};
 
 absl::StatusOr<TileStatistics> Decode(const TileStatistics& like, const EncodedDelta& delta) {
-  return DecodeDelta(like.window(), like.range(), static_cast<uint32_t>(delta.encoding),
-                     delta.payload);
+  return DecodeDelta(like.window(), like.range(), like.feature_end(),
+                     static_cast<uint32_t>(delta.encoding), delta.payload);
 }
 
 // Equal to the last bit: operator== would not tell -0 from 0.
 bool SameBits(const TileStatistics& a, const TileStatistics& b) {
   if (!(a == b)) return false;
   for (int half = 0; half < kNumHalves; ++half) {
-    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+    for (int plane = 0; plane < a.num_float_planes(); ++plane) {
       if (std::memcmp(a.Floats(half, plane).data(), b.Floats(half, plane).data(),
                       a.Floats(half, plane).size_bytes()) != 0) {
         return false;
@@ -49,7 +49,9 @@ TEST(DeltaCodecTest, FoldedTilesRoundTrip) {
                                   PixelRect{0, 0, 64, 64}, PixelRect{0, 0, 1, 50}}) {
     for (const SampleRange range : {SampleRange{0, 1}, {1, 2}, {0, 2}, {16, 32}, {512, 1024}}) {
       if (range.size() * window.area() > 100000) continue;
-      ExpectRoundTrip(FoldedTile(3, window, range));
+      for (const int64_t feature_end : {int64_t{1}, int64_t{16}, kAllFeatures}) {
+        ExpectRoundTrip(FoldedTile(3, window, range, feature_end));
+      }
     }
   }
 }
@@ -59,9 +61,14 @@ TEST(DeltaCodecTest, ExtremeValuesRoundTrip) {
                                1 / 3.0f, -1 / 3.0f, 0x1p-126f, 0x1p-127f, 1e-20f,  255.0f};
   for (uint64_t seed = 0; seed < 50; ++seed) {
     std::mt19937_64 random(seed);
-    TileStatistics tile({0, 0, 9, 5}, {0, int64_t{1} << (1 + seed % 30)});
+    TileStatistics tile({0, 0, 9, 5}, {0, int64_t{1} << (1 + seed % 30)},
+                        seed % 2 == 0 ? kAllFeatures : 8);
     for (int half = 0; half < kNumHalves; ++half) {
-      const uint64_t count = static_cast<uint64_t>(tile.HalfCount(half));
+      const uint64_t count = static_cast<uint64_t>(tile.FeatureHalfCount(half));
+      const uint64_t later_count = static_cast<uint64_t>(tile.HalfCount(half)) - count;
+      for (uint32_t& hits : tile.Counts(half, kLaterHits)) {
+        hits = static_cast<uint32_t>(random() % (later_count + 1));
+      }
       for (uint32_t& hits : tile.Counts(half, kHits)) {
         hits = static_cast<uint32_t>(random() % (count + 1));
       }
@@ -82,6 +89,35 @@ TEST(DeltaCodecTest, ExtremeValuesRoundTrip) {
       }
     }
     tile.non_finite = static_cast<int64_t>(random() % 90);
+    ExpectRoundTrip(tile);
+  }
+}
+
+// A delta whose features have settled: at most 56 bytes per pixel raw, and half of that compressed.
+// Light is noise in every bit; channels share it up to a hundredth of their own, and a fifth of the
+// samples hit nothing.
+TEST(DeltaCodecTest, SettledFeaturesCostNothing) {
+  const PixelRect window{0, 0, 32, 32};
+  const double area = static_cast<double>(window.area());
+  for (const SampleRange range : {SampleRange{16, 32}, {64, 128}}) {
+    TileStatistics tile(window, range, 16);
+    PixelFolder folder;
+    for (int y = 0; y < 32; ++y) {
+      for (int x = 0; x < 32; ++x) {
+        folder.Begin(range, 16);
+        for (int64_t i = range.begin; i < range.end; ++i) {
+          PixelSample sample = SampleOf(1, x, y, i);
+          const float light = sample.radiance[0];
+          for (float& channel : sample.radiance) channel = light * (0.5f + 0.005f * channel);
+          folder.Add(sample);
+        }
+        folder.Store(x, y, &tile);
+      }
+    }
+    EXPECT_LE(static_cast<double>(EncodeDelta(tile, DeltaEncoding::kPacked).payload.size()),
+              56 * area);
+    EXPECT_LE(static_cast<double>(EncodeDelta(tile, DeltaEncoding::kPackedZstd).payload.size()),
+              28 * area);
     ExpectRoundTrip(tile);
   }
 }
@@ -132,13 +168,13 @@ TEST(DeltaCodecTest, TheExampleOfTheDocumentation) {
     folder.Store(x, 0, &tile);
   }
   EXPECT_EQ(absl::BytesToHexString(EncodeDelta(tile, DeltaEncoding::kPacked).payload),
-            "010001187f01187f01187f00000000000000000001193f01193f01193f000000000000000000"
-            "00000001187f0000000000000000000000000118810100000001000101000300000101"
+            "020001187f01187f01187f00000000000000000001193f01193f01193f000000000000000000"
+            "00000001187f0000000000000000000000000118810100000000000001000101000300000101"
             "16fe030116fe030116fe0300000000000000000001193f01193f01193f000000000000000000"
-            "00000001187f0000000000000000000000000118810100000001000101000300000"
+            "00000001187f0000000000000000000000000118810100000000000001000101000300000"
             "101020102010201040104010401000100010001000100010001000100010001000100"
             "010001000100"
-            "6eacc6610bdb8738");
+            "687a62b3e40a17ab");
 }
 
 TEST(DeltaCodecTest, EncodingIsDeterministic) {
@@ -174,8 +210,10 @@ TEST(DeltaCodecTest, DamageIsAlwaysNoticed) {
 
 // Damage under a right checksum, as a malicious peer would send it: a status or a tile whose values
 // the film can fold, never a crash (the sanitizers look on).
-TEST(DeltaCodecTest, ForgedPayloadsAreSafe) {
-  const TileStatistics tile = FoldedTile(5, {0, 0, 13, 9}, {0, 4});
+class ForgedDeltaTest : public testing::TestWithParam<int64_t> {};
+
+TEST_P(ForgedDeltaTest, ForgedPayloadsAreSafe) {
+  const TileStatistics tile = FoldedTile(5, {0, 0, 13, 9}, {4, 8}, GetParam());
   int num_refused = 0;
   for (const DeltaEncoding encoding : kEncodings) {
     const EncodedDelta delta = EncodeDelta(tile, encoding);
@@ -199,10 +237,10 @@ TEST(DeltaCodecTest, ForgedPayloadsAreSafe) {
         ++num_refused;
         continue;
       }
-      TileStatistics right(tile.window(), {4, 8});
+      TileStatistics right(tile.window(), {8, 16}, tile.feature_end());
       decoded->Merge(right);
       for (int half = 0; half < kNumHalves; ++half) {
-        for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+        for (int plane = 0; plane < decoded->num_float_planes(); ++plane) {
           for (const float value : decoded->Floats(half, plane)) {
             ASSERT_TRUE(std::isfinite(value));
           }
@@ -212,6 +250,8 @@ TEST(DeltaCodecTest, ForgedPayloadsAreSafe) {
   }
   EXPECT_GT(num_refused, 1000);
 }
+INSTANTIATE_TEST_SUITE_P(DeltaCodecTest, ForgedDeltaTest,
+                         testing::Values(int64_t{4}, kAllFeatures));
 
 TEST(DeltaCodecTest, RefusesValuesThatStatisticsCannotHave) {
   const TileStatistics good = FoldedTile(5, {0, 0, 4, 4}, {0, 4});
@@ -241,6 +281,22 @@ TEST(DeltaCodecTest, RefusesValuesThatStatisticsCannotHave) {
                 absl::StatusCode::kInvalidArgument);
     }
   }
+  // Hits and votes are those of samples with features, or without.
+  const TileStatistics later = FoldedTile(5, {0, 0, 4, 4}, {0, 8}, 2);
+  const std::function<void(TileStatistics*)> later_spoilers[] = {
+      [](TileStatistics* t) { t->Counts(0, kHits)[1] = 2; },
+      [](TileStatistics* t) { t->Counts(1, kIdVotes)[1] = 2; },
+      [](TileStatistics* t) { t->Counts(0, kLaterHits)[1] = 4; },
+  };
+  EXPECT_TRUE(ValidateStatistics(later).ok());
+  for (const auto& spoil : later_spoilers) {
+    TileStatistics bad = later;
+    spoil(&bad);
+    EXPECT_FALSE(Decode(bad, EncodeDelta(bad, DeltaEncoding::kPacked)).ok());
+  }
+  TileStatistics no_later_hits = FoldedTile(5, {0, 0, 4, 4}, {0, 4});
+  no_later_hits.Counts(0, kLaterHits)[0] = 1;
+  EXPECT_FALSE(ValidateStatistics(no_later_hits).ok());
   TileStatistics empty_half({0, 0, 4, 4}, {0, 1});
   empty_half.Floats(1, kRadianceMean)[0] = 1;
   EXPECT_FALSE(Decode(empty_half, EncodeDelta(empty_half, DeltaEncoding::kPacked)).ok());
@@ -250,7 +306,7 @@ TEST(DeltaCodecTest, RefusesWrongShapesRangesAndEncodings) {
   const TileStatistics tile = FoldedTile(5, {0, 0, 4, 4}, {0, 4});
   const EncodedDelta delta = EncodeDelta(tile, DeltaEncoding::kPackedZstd);
   const auto code = [&](const PixelRect& window, SampleRange range, uint32_t encoding) {
-    return DecodeDelta(window, range, encoding, delta.payload).status().code();
+    return DecodeDelta(window, range, kAllFeatures, encoding, delta.payload).status().code();
   };
   constexpr absl::StatusCode kBad = absl::StatusCode::kInvalidArgument;
   EXPECT_EQ(code({0, 0, 5, 4}, {0, 4}, 2), kBad);
@@ -262,7 +318,14 @@ TEST(DeltaCodecTest, RefusesWrongShapesRangesAndEncodings) {
   EXPECT_EQ(code({0, 0, 4, 4}, {0, 4}, 1), kBad);
   EXPECT_EQ(code({0, 0, 4, 4}, {0, 4}, 0), kBad);
   EXPECT_EQ(code({0, 0, 4, 4}, {0, 4}, 3), kBad);
-  EXPECT_FALSE(DecodeDelta({0, 0, 4, 4}, {0, 4}, 1, "").ok());
+  EXPECT_FALSE(DecodeDelta({0, 0, 4, 4}, {0, 4}, kAllFeatures, 1, "").ok());
+  // Another rule for features has other planes, or is no rule.
+  const EncodedDelta later =
+      EncodeDelta(FoldedTile(5, {0, 0, 4, 4}, {4, 8}, 4), DeltaEncoding::kPackedZstd);
+  for (const int64_t feature_end : {int64_t{8}, int64_t{0}, int64_t{-4}, int64_t{3}, INT64_MAX}) {
+    EXPECT_EQ(DecodeDelta({0, 0, 4, 4}, {4, 8}, feature_end, 2, later.payload).status().code(),
+              kBad);
+  }
 }
 
 }  // namespace

@@ -20,8 +20,9 @@ struct Unit {
 };
 
 void Deliver(const Unit& unit, Film* film, absl::StatusCode expected = absl::StatusCode::kOk) {
-  const absl::Status status =
-      film->Accept(unit.tile, FoldedTile(kSeed, film->grid().WindowOf(unit.tile), unit.range));
+  const absl::Status status = film->Accept(
+      unit.tile,
+      FoldedTile(kSeed, film->grid().WindowOf(unit.tile), unit.range, film->feature_end()));
   EXPECT_EQ(status.code(), expected) << status;
 }
 
@@ -36,18 +37,21 @@ void Cut(SampleRange node, std::mt19937_64& random, std::vector<SampleRange>* no
   Cut({middle, node.end}, random, nodes);
 }
 
-Film CompleteFilm(const PixelRect& region, int tile_size, int64_t num_samples) {
-  Film film(TileGrid(region, tile_size));
+Film CompleteFilm(const PixelRect& region, int tile_size, int64_t num_samples,
+                  int64_t feature_end = kAllFeatures) {
+  Film film(TileGrid(region, tile_size), feature_end);
   for (int64_t tile = 0; tile < film.grid().num_tiles(); ++tile) {
     for (const SampleRange node : MaximalNodes({0, num_samples})) Deliver({tile, node}, &film);
   }
   return film;
 }
 
-TEST(FilmTest, AnyPartitionOrderAndDuplicationGiveTheSameBits) {
+class FilmPartitionTest : public testing::TestWithParam<int64_t> {};
+
+TEST_P(FilmPartitionTest, AnyPartitionOrderAndDuplicationGiveTheSameBits) {
   const PixelRect region{2, 1, 9, 6};
   for (const int64_t num_samples : {int64_t{1}, int64_t{2}, int64_t{13}, int64_t{32}}) {
-    const Film reference = CompleteFilm(region, 4, num_samples);
+    const Film reference = CompleteFilm(region, 4, num_samples, GetParam());
     for (uint64_t trial = 0; trial < 10; ++trial) {
       std::mt19937_64 random(trial);
       std::vector<Unit> units;
@@ -57,7 +61,7 @@ TEST(FilmTest, AnyPartitionOrderAndDuplicationGiveTheSameBits) {
         for (const SampleRange node : nodes) units.push_back({tile, node});
       }
       std::shuffle(units.begin(), units.end(), random);
-      Film film(reference.grid());
+      Film film(reference.grid(), GetParam());
       for (const Unit& unit : units) {
         Deliver(unit, &film);
         Deliver(unit, &film, absl::StatusCode::kAlreadyExists);
@@ -72,11 +76,17 @@ TEST(FilmTest, AnyPartitionOrderAndDuplicationGiveTheSameBits) {
   }
 }
 
+// Features of one sample, of some, of all.
+INSTANTIATE_TEST_SUITE_P(FilmTest, FilmPartitionTest,
+                         testing::Values(int64_t{1}, int64_t{4}, kAllFeatures));
+
 TEST(FilmTest, AnyTileSizeGivesTheSameDigest) {
   const PixelRect region{5, 3, 45, 40};
-  const Sha256Digest digest = CompleteFilm(region, 16, 5).Digest();
-  for (const int tile_size : {1, 32, 64}) {
-    EXPECT_EQ(CompleteFilm(region, tile_size, 5).Digest(), digest) << tile_size;
+  for (const int64_t feature_end : {int64_t{2}, kAllFeatures}) {
+    const Sha256Digest digest = CompleteFilm(region, 16, 5, feature_end).Digest();
+    for (const int tile_size : {1, 32, 64}) {
+      EXPECT_EQ(CompleteFilm(region, tile_size, 5, feature_end).Digest(), digest) << tile_size;
+    }
   }
 }
 
@@ -86,6 +96,9 @@ TEST(FilmTest, OtherFilmsHaveOtherDigests) {
   EXPECT_NE(film.Digest(), CompleteFilm(region, 4, 5).Digest());
   EXPECT_NE(film.Digest(), CompleteFilm({0, 0, 8, 7}, 4, 4).Digest());
   EXPECT_NE(film.Digest(), CompleteFilm({1, 0, 9, 8}, 4, 4).Digest());
+  EXPECT_NE(film.Digest(), CompleteFilm(region, 4, 4, 2).Digest());
+  // While every sample carries features, it does not matter where that would end.
+  EXPECT_EQ(film.Digest(), CompleteFilm(region, 4, 4, 4).Digest());
   EXPECT_NE(Film(TileGrid({0, 0, 8, 4}, 4)).Digest(), Film(TileGrid({0, 0, 4, 8}, 4)).Digest());
   Film more = CompleteFilm(region, 4, 4);
   Deliver({1, {4, 6}}, &more);
@@ -187,6 +200,8 @@ TEST(FilmTest, RefusesWhatDoesNotFit) {
                   TileStatistics(window, {int64_t{1} << 40, (int64_t{1} << 40) + 1}))}) {
     EXPECT_EQ(film.Accept(tile, node).code(), absl::StatusCode::kInvalidArgument);
   }
+  EXPECT_EQ(film.Accept(0, TileStatistics(window, {0, 1}, 64)).code(),
+            absl::StatusCode::kInvalidArgument);
   EXPECT_EQ(film.samples(), 0);
 }
 

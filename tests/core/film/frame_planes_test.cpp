@@ -12,10 +12,11 @@ namespace {
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-TileStatistics FoldedPrefix(uint64_t seed, const PixelRect& window, int64_t num_samples) {
-  TileStatistics folded(window, {0, 0});
+TileStatistics FoldedPrefix(uint64_t seed, const PixelRect& window, int64_t num_samples,
+                            int64_t feature_end = kAllFeatures) {
+  TileStatistics folded(window, {0, 0}, feature_end);
   for (const SampleRange node : MaximalNodes({0, num_samples})) {
-    folded.Merge(FoldedTile(seed, window, node));
+    folded.Merge(FoldedTile(seed, window, node, feature_end));
   }
   return folded;
 }
@@ -59,6 +60,27 @@ TEST(FramePlanesTest, JoinsBothHalves) {
     }
     EXPECT_EQ(planes.samples[0], 0u);
     EXPECT_EQ(planes.color[0][0], 0);
+  }
+}
+
+TEST(FramePlanesTest, FeaturesHaveCountsOfTheirOwn) {
+  const PixelRect window{0, 0, 5, 4};
+  for (const int64_t feature_end : {1, 2, 8}) {
+    FramePlanes all(window), first(window), planes(window);
+    all.Resolve(FoldedPrefix(4, window, 19));
+    first.Resolve(FoldedPrefix(4, window, feature_end));
+    planes.Resolve(FoldedPrefix(4, window, 19, feature_end));
+    EXPECT_EQ(planes.color, all.color);
+    EXPECT_EQ(planes.sample_variance_of_mean, all.sample_variance_of_mean);
+    EXPECT_EQ(planes.coverage, all.coverage);
+    EXPECT_EQ(planes.samples, all.samples);
+    EXPECT_EQ(planes.albedo, first.albedo);
+    EXPECT_EQ(planes.albedo_variance, first.albedo_variance);
+    EXPECT_EQ(planes.normal, first.normal);
+    EXPECT_EQ(planes.normal_variance, first.normal_variance);
+    EXPECT_EQ(planes.depth, first.depth);
+    EXPECT_EQ(planes.depth_variance, first.depth_variance);
+    EXPECT_EQ(planes.material_id, first.material_id);
   }
 }
 

@@ -11,11 +11,25 @@ constexpr PixelRect kPixel{0, 0, 1, 1};
 
 TEST(PixelFolderTest, AFolderForgetsItsLastPixel) {
   PixelFolder used;
-  for (const SampleRange range : {SampleRange{0, 16}, {5, 6}, {4, 5}, {8, 10}, {0, 4}}) {
-    TileStatistics from_used(kPixel, range), from_fresh(kPixel, range);
-    used.Begin(range);
+  const struct {
+    SampleRange range;
+    int64_t feature_end;
+  } kNodes[] = {{{0, 16}, kAllFeatures},
+                {{5, 6}, 4},
+                {{4, 5}, kAllFeatures},
+                {{8, 10}, 4},
+                {{0, 4}, kAllFeatures},
+                {{0, 16}, 2},
+                {{0, 2}, 1},
+                {{0, 1}, 1},
+                {{1, 2}, 1},
+                {{16, 32}, 8},
+                {{0, 8}, 8}};
+  for (const auto& [range, feature_end] : kNodes) {
+    TileStatistics from_used(kPixel, range, feature_end), from_fresh(kPixel, range, feature_end);
+    used.Begin(range, feature_end);
     PixelFolder once;
-    once.Begin(range);
+    once.Begin(range, feature_end);
     for (int64_t i = range.begin; i < range.end; ++i) {
       used.Add(SampleOf(1, 0, 0, i));
       once.Add(SampleOf(1, 0, 0, i));

@@ -44,12 +44,13 @@ inline PixelSample SampleOf(uint64_t seed, int x, int y, int64_t index) {
 }
 
 // The folded statistics of samples `range` (a node) of a window of SampleOf.
-inline TileStatistics FoldedTile(uint64_t seed, const PixelRect& window, SampleRange range) {
-  TileStatistics tile(window, range);
+inline TileStatistics FoldedTile(uint64_t seed, const PixelRect& window, SampleRange range,
+                                 int64_t feature_end = kAllFeatures) {
+  TileStatistics tile(window, range, feature_end);
   PixelFolder folder;
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
-      folder.Begin(range);
+      folder.Begin(range, feature_end);
       for (int64_t i = range.begin; i < range.end; ++i) folder.Add(SampleOf(seed, x, y, i));
       folder.Store(x, y, &tile);
     }

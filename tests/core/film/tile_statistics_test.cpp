@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "tests/core/film/sample_streams.h"
 
 namespace tessera {
@@ -10,11 +12,11 @@ namespace {
 constexpr PixelRect kWindow{3, 4, 8, 7};
 
 // Folds `range` by TileStatistics::Merge alone, from one-sample tiles.
-TileStatistics MergedTile(uint64_t seed, SampleRange range) {
-  if (range.size() == 1) return FoldedTile(seed, kWindow, range);
+TileStatistics MergedTile(uint64_t seed, SampleRange range, int64_t feature_end) {
+  if (range.size() == 1) return FoldedTile(seed, kWindow, range, feature_end);
   const int64_t middle = range.begin + range.size() / 2;
-  TileStatistics tile = MergedTile(seed, {range.begin, middle});
-  tile.Merge(MergedTile(seed, {middle, range.end}));
+  TileStatistics tile = MergedTile(seed, {range.begin, middle}, feature_end);
+  tile.Merge(MergedTile(seed, {middle, range.end}, feature_end));
   return tile;
 }
 
@@ -33,8 +35,11 @@ TEST(TileStatisticsTest, PixelFolderGivesTheBitsOfPairwiseMerges) {
   for (uint64_t seed = 0; seed < 5; ++seed) {
     for (const SampleRange range :
          {SampleRange{0, 2}, {0, 4}, {6, 8}, {0, 64}, {64, 96}, {3, 4}, {1024, 1280}}) {
-      EXPECT_EQ(FoldedTile(seed, kWindow, range), MergedTile(seed, range))
-          << range.begin << " " << range.end;
+      for (const int64_t feature_end : {int64_t{1}, int64_t{2}, int64_t{8}, kAllFeatures}) {
+        EXPECT_EQ(FoldedTile(seed, kWindow, range, feature_end),
+                  MergedTile(seed, range, feature_end))
+            << range.begin << " " << range.end << " " << feature_end;
+      }
     }
   }
 }
@@ -47,6 +52,54 @@ TEST(TileStatisticsTest, EmptyIsNeutral) {
   TileStatistics right = tile;
   right.Merge(TileStatistics(kWindow, {8, 8}));
   EXPECT_EQ(right, tile);
+}
+
+TEST(TileStatisticsTest, FeaturesComeFromTheFirstSamplesAlone) {
+  for (const int64_t feature_end : {1, 2, 8, 32}) {
+    const TileStatistics all = FoldedTile(3, kWindow, {0, 32});
+    const TileStatistics first = MergedTile(3, {0, feature_end}, kAllFeatures);
+    const TileStatistics tile = FoldedTile(3, kWindow, {0, 32}, feature_end);
+    EXPECT_EQ(tile.feature_range(), (SampleRange{0, feature_end}));
+    for (int half = 0; half < kNumHalves; ++half) {
+      EXPECT_EQ(tile.FeatureHalfCount(half), first.HalfCount(half));
+      for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+        const TileStatistics& expected = plane < kNumRadiancePlanes ? all : first;
+        EXPECT_TRUE(std::ranges::equal(tile.Floats(half, plane), expected.Floats(half, plane)))
+            << feature_end << " " << plane;
+      }
+      for (const int plane : {kHits, kMaterialId, kIdVotes}) {
+        EXPECT_TRUE(std::ranges::equal(tile.Counts(half, plane), first.Counts(half, plane)))
+            << feature_end << " " << plane;
+      }
+      for (size_t i = 0; i < tile.Counts(half, kHits).size(); ++i) {
+        EXPECT_EQ(tile.Counts(half, kHits)[i] + tile.Counts(half, kLaterHits)[i],
+                  all.Counts(half, kHits)[i]);
+      }
+    }
+  }
+}
+
+TEST(TileStatisticsTest, LaterSamplesHaveNoFeaturePlanes) {
+  const TileStatistics tile = FoldedTile(3, kWindow, {8, 16}, 8);
+  EXPECT_FALSE(tile.has_features());
+  EXPECT_EQ(tile.FeatureHalfCount(0), 0);
+  EXPECT_EQ(tile.num_float_planes(), kNumRadiancePlanes);
+  EXPECT_EQ(tile.num_count_planes(), kNumLaterCountPlanes);
+  EXPECT_TRUE(FoldedTile(3, kWindow, {0, 16}, 8).has_features());
+  EXPECT_TRUE(TileStatistics(kWindow, {0, 0}, 1).has_features());
+}
+
+TEST(TileStatisticsTest, FeatureEndsAreReadAsUsersWriteThem) {
+  EXPECT_EQ(FeatureEndOf(0), kAllFeatures);
+  EXPECT_EQ(FeatureEndOf(64), 64);
+  EXPECT_EQ(FeatureSppOf(kAllFeatures), 0);
+  EXPECT_EQ(FeatureSppOf(64), 64);
+  for (const int64_t bad : {int64_t{0}, int64_t{-4}, int64_t{12}, 2 * kAllFeatures}) {
+    EXPECT_FALSE(IsFeatureEnd(bad)) << bad;
+  }
+  for (const int64_t good : {int64_t{1}, int64_t{64}, kAllFeatures}) {
+    EXPECT_TRUE(IsFeatureEnd(good)) << good;
+  }
 }
 
 TEST(TileStatisticsTest, EveryQuantityMatchesTwoPasses) {
@@ -87,6 +140,15 @@ TEST(TileStatisticsTest, NonFiniteCountsAdd) {
   right.non_finite = 4;
   left.Merge(right);
   EXPECT_EQ(left.non_finite, 7);
+}
+
+TEST(TileStatisticsDeathTest, PlanesThatDoNotExistAndOtherFeatureEnds) {
+  TileStatistics tile(kWindow, {0, 4}, 4);
+  TileStatistics later(kWindow, {4, 8}, 4);
+  EXPECT_DEATH(later.Floats(0, kAlbedoMean), "broken invariant");
+  EXPECT_DEATH(later.Counts(1, kHits), "broken invariant");
+  EXPECT_DEATH(tile.Merge(TileStatistics(kWindow, {4, 8}, 8)), "broken invariant");
+  EXPECT_DEATH(TileStatistics(kWindow, {0, 4}, 3), "broken invariant");
 }
 
 TEST(TileStatisticsDeathTest, OnlyNeighboursMerge) {

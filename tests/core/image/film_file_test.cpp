@@ -18,15 +18,19 @@ using ::testing::HasSubstr;
 using FilmFileTest = TempFolderTest;
 
 // Values that statistics may have, of every magnitude.
-TileStatistics RandomNode(const PixelRect& window, SampleRange range, std::mt19937* random) {
-  TileStatistics node(window, range);
+TileStatistics RandomNode(const PixelRect& window, SampleRange range, std::mt19937* random,
+                          int64_t feature_end = kAllFeatures) {
+  TileStatistics node(window, range, feature_end);
   std::uniform_real_distribution<float> exponent(-120, 50);
   for (int half = 0; half < kNumHalves; ++half) {
-    const uint32_t count = static_cast<uint32_t>(node.HalfCount(half));
-    if (count == 0) continue;
-    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+    const uint32_t count = static_cast<uint32_t>(node.FeatureHalfCount(half));
+    const uint32_t later_count = static_cast<uint32_t>(node.HalfCount(half)) - count;
+    for (uint32_t& hits : node.Counts(half, kLaterHits)) hits = (*random)() % (later_count + 1);
+    const int num_planes = count > 0 ? kNumFloatPlanes : later_count > 0 ? kNumRadiancePlanes : 0;
+    for (int plane = 0; plane < num_planes; ++plane) {
       for (float& value : node.Floats(half, plane)) value = std::exp2(exponent(*random));
     }
+    if (count == 0) continue;
     for (float& value : node.Floats(half, kNormalMean)) value = -value;
     for (uint32_t& hits : node.Counts(half, kHits)) hits = 1 + (*random)() % count;
     for (uint32_t& id : node.Counts(half, kMaterialId)) id = static_cast<uint32_t>((*random)());
@@ -37,9 +41,11 @@ TileStatistics RandomNode(const PixelRect& window, SampleRange range, std::mt199
 }
 
 // A render that was interrupted: tiles hold different ranges, some hold nothing.
-FilmFile InterruptedFilm(const PixelRect& region, int tile_size, uint32_t seed) {
+FilmFile InterruptedFilm(const PixelRect& region, int tile_size, uint32_t seed,
+                         int64_t feature_end = kAllFeatures) {
   std::mt19937 random(seed);
   FilmFile film;
+  film.feature_end = feature_end;
   film.settings = "{\"spp\": 64, \"name\": \"caf\xc3\xa9\",\n \"empty\": \"\"}";
   film.region = region;
   film.frame = region.Expand(4);
@@ -48,7 +54,7 @@ FilmFile InterruptedFilm(const PixelRect& region, int tile_size, uint32_t seed) 
   const TileGrid grid(region, tile_size);
   for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
     for (const SampleRange& range : ranges[tile % std::size(ranges)]) {
-      film.nodes.push_back(RandomNode(grid.WindowOf(tile), range, &random));
+      film.nodes.push_back(RandomNode(grid.WindowOf(tile), range, &random, feature_end));
     }
   }
   std::ranges::stable_sort(film.nodes, {}, &TileStatistics::range);
@@ -69,18 +75,20 @@ Image PictureOf(const FilmFile& film) {
 TEST_F(FilmFileTest, EveryBitOfEveryNodeComesBack) {
   const std::pair<PixelRect, int> shapes[] = {
       {{0, 0, 1, 1}, 16}, {{5, 7, 42, 30}, 8}, {{0, 3, 3, 140}, 16}, {{-4, -2, 9, 9}, 1}};
-  for (const auto& [region, tile_size] : shapes) {
-    const FilmFile film = InterruptedFilm(region, tile_size, 11);
-    const Image picture = PictureOf(film);
-    ASSERT_TRUE(WriteFilmFile(Path("film.exr"), film, picture).ok());
-    const absl::StatusOr<FilmFile> read = ReadFilmFile(Path("film.exr"));
-    ASSERT_TRUE(read.ok()) << read.status();
-    EXPECT_EQ(read->settings, film.settings);
-    EXPECT_EQ(read->region, film.region);
-    EXPECT_EQ(read->frame, film.frame);
-    ASSERT_EQ(read->nodes.size(), film.nodes.size());
-    EXPECT_TRUE(read->nodes == film.nodes);
-  }
+  for (const int64_t feature_end : {int64_t{1}, int64_t{4}, int64_t{16}, kAllFeatures})
+    for (const auto& [region, tile_size] : shapes) {
+      const FilmFile film = InterruptedFilm(region, tile_size, 11, feature_end);
+      const Image picture = PictureOf(film);
+      ASSERT_TRUE(WriteFilmFile(Path("film.exr"), film, picture).ok());
+      const absl::StatusOr<FilmFile> read = ReadFilmFile(Path("film.exr"));
+      ASSERT_TRUE(read.ok()) << read.status();
+      EXPECT_EQ(read->settings, film.settings);
+      EXPECT_EQ(read->region, film.region);
+      EXPECT_EQ(read->frame, film.frame);
+      EXPECT_EQ(read->feature_end, feature_end);
+      ASSERT_EQ(read->nodes.size(), film.nodes.size());
+      EXPECT_TRUE(read->nodes == film.nodes);
+    }
 }
 
 TEST_F(FilmFileTest, ThePictureIsInTheSameFile) {
@@ -113,6 +121,9 @@ TEST_F(FilmFileTest, NodesThatDoNotFitAreRefused) {
   film.nodes.back() = RandomNode({18, 4, 21, 9}, {64, 128}, &random);
   EXPECT_THAT(std::string(WriteFilmFile(Path("film.exr"), film, picture).message()),
               HasSubstr("outside"));
+  film.nodes.back() = RandomNode({16, 8, 20, 10}, {64, 128}, &random, 16);
+  EXPECT_THAT(std::string(WriteFilmFile(Path("film.exr"), film, picture).message()),
+              HasSubstr("features of other samples"));
   EXPECT_EQ(NumFiles(), 0u);
 }
 
@@ -156,6 +167,14 @@ TEST_F(FilmFileTest, InconsistentFilmsAreRefused) {
   refused_with("film.0-16.A.hits", [](ImageChannel* c) { c->uints[0] = 9; });
   refused_with("film.0-16.A.radiance.msd.R", [](ImageChannel* c) { c->floats[0] = -1; });
   refused_with("film.0-16.B.albedo.mean.G", [](ImageChannel* c) { c->floats[0] = NAN; });
+  for (const MetadataValue& feature_spp :
+       {MetadataValue(int64_t{12}), MetadataValue(int64_t{-1}), MetadataValue("many")}) {
+    Image image = *read;
+    image.metadata["film.feature_spp"] = feature_spp;
+    ASSERT_TRUE(WriteExr(Path("changed.exr"), image).ok());
+    EXPECT_EQ(ReadFilmFile(Path("changed.exr")).status().code(),
+              absl::StatusCode::kInvalidArgument);
+  }
 }
 
 }  // namespace

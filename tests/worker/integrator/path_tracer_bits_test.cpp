@@ -2,6 +2,7 @@
 // (C2).
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <atomic>
 #include <memory>
 #include <thread>
@@ -19,12 +20,13 @@ namespace {
 constexpr int kWidth = 37, kHeight = 21;
 constexpr int64_t kSpp = 16;
 
-std::unique_ptr<PathTracer> Tracer(int build_threads) {
+std::unique_ptr<PathTracer> Tracer(int build_threads, int64_t feature_end = kAllFeatures) {
   RenderSettings settings;
   settings.width = kWidth;
   settings.height = kHeight;
   settings.build_threads = build_threads;
   settings.seed = 5;
+  settings.feature_end = feature_end;
   return *PathTracer::Create(Mixture(), settings);
 }
 
@@ -38,10 +40,10 @@ bool PixelsAgree(const TileStatistics& whole, const TileStatistics& part) {
     for (int y = w.y_begin; y < w.y_end; ++y) {
       for (int x = w.x_begin; x < w.x_end; ++x) {
         const int64_t a = whole.window().IndexOf(x, y), b = w.IndexOf(x, y);
-        for (int p = 0; p < kNumFloatPlanes; ++p) {
+        for (int p = 0; p < whole.num_float_planes(); ++p) {
           if (whole.Floats(half, p)[a] != part.Floats(half, p)[b]) return false;
         }
-        for (int p = 0; p < kNumCountPlanes; ++p) {
+        for (int p = 0; p < whole.num_count_planes(); ++p) {
           if (whole.Counts(half, p)[a] != part.Counts(half, p)[b]) return false;
         }
       }
@@ -50,8 +52,10 @@ bool PixelsAgree(const TileStatistics& whole, const TileStatistics& part) {
   return true;
 }
 
-TEST(PathTracerBitsTest, AnyWindowAnyPartitionAnyThreadCount) {
-  const std::unique_ptr<PathTracer> tracer = Tracer(1);
+class PathTracerPartitionTest : public ::testing::TestWithParam<int64_t> {};
+
+TEST_P(PathTracerPartitionTest, AnyWindowAnyPartitionAnyThreadCount) {
+  const std::unique_ptr<PathTracer> tracer = Tracer(1, GetParam());
   const TileStatistics whole = Whole(*tracer);
   for (int tile_size : {1, 8, 16, 64}) {
     const TileGrid grid(PixelRect::FromSize(0, 0, kWidth, kHeight), tile_size);
@@ -76,6 +80,26 @@ TEST(PathTracerBitsTest, AnyWindowAnyPartitionAnyThreadCount) {
     for (int i = 0; i < 3; ++i) threads.emplace_back(work);
     for (std::thread& thread : threads) thread.join();
     EXPECT_EQ(differing, 0) << "tile size " << tile_size;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(PathTracerBitsTest, PathTracerPartitionTest,
+                         ::testing::Values(int64_t{1}, int64_t{4}, kAllFeatures));
+
+TEST(PathTracerBitsTest, SamplesWithoutFeaturesHaveTheSameRadianceAndCoverage) {
+  const TileStatistics all = Whole(*Tracer(1)), some = Whole(*Tracer(1, 4));
+  const TileStatistics first = *Tracer(1)->Render(all.window(), {0, 4}, nullptr, nullptr);
+  for (int half = 0; half < kNumHalves; ++half) {
+    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
+      const TileStatistics& expected = plane < kNumRadiancePlanes ? all : first;
+      EXPECT_TRUE(std::ranges::equal(some.Floats(half, plane), expected.Floats(half, plane)));
+    }
+    EXPECT_TRUE(
+        std::ranges::equal(some.Counts(half, kMaterialId), first.Counts(half, kMaterialId)));
+    for (size_t i = 0; i < all.Counts(half, kHits).size(); ++i) {
+      EXPECT_EQ(some.Counts(half, kHits)[i] + some.Counts(half, kLaterHits)[i],
+                all.Counts(half, kHits)[i]);
+    }
   }
 }
 

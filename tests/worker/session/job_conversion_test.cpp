@@ -21,6 +21,7 @@ v1::JobSettings Settings() {
   settings.set_height(360);
   settings.set_spp(16);
   settings.set_max_depth(5);
+  settings.set_feature_spp(32);
   settings.set_seed(0xfedcba9876543210u);
   return settings;
 }
@@ -30,6 +31,7 @@ TEST(JobConversion, RenderSettings) {
   EXPECT_EQ(render.width, 640);
   EXPECT_EQ(render.height, 360);
   EXPECT_EQ(render.max_depth, 5);
+  EXPECT_EQ(render.feature_end, 32);
   EXPECT_EQ(render.seed, 0xfedcba9876543210u);
   EXPECT_EQ(render.isa, "x86-64-v3");
   EXPECT_EQ(render.build_threads, 3);
@@ -110,6 +112,7 @@ TEST(JobConversion, KeyDependsOnWhatARendererDependsOnAlone) {
       [](auto& s) { s.set_height(361); },
       [](auto& s) { s.set_max_depth(6); },
       [](auto& s) { s.set_seed(1); },
+      [](auto& s) { s.set_feature_spp(0); },
       [](auto& s) { s.set_isa("x86-64-v4"); },
   };
   for (size_t i = 0; i < other.size(); ++i) {

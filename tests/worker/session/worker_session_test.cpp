@@ -34,7 +34,7 @@ struct RendererLog {
 // Every pixel's radiance is its window's x plus the range's begin.
 class FakeRenderer : public Renderer {
  public:
-  explicit FakeRenderer(RendererLog& log) : log_(log) {}
+  FakeRenderer(RendererLog& log, int64_t feature_end) : log_(log), feature_end_(feature_end) {}
   absl::StatusOr<TileStatistics> Render(const PixelRect& window, SampleRange node,
                                         const std::atomic<bool>* cancel,
                                         RenderCounters* counters) const override {
@@ -45,7 +45,7 @@ class FakeRenderer : public Renderer {
       ++log_.cancelled;
       return absl::CancelledError();
     }
-    TileStatistics tile(window, node);
+    TileStatistics tile(window, node, feature_end_);
     for (float& value : tile.Floats(0, kRadianceMean)) {
       value = static_cast<float>(window.x_begin + node.begin);
     }
@@ -62,6 +62,7 @@ class FakeRenderer : public Renderer {
 
  private:
   RendererLog& log_;
+  const int64_t feature_end_;
 };
 
 class FakeFactory : public RendererFactory {
@@ -73,7 +74,7 @@ class FakeFactory : public RendererFactory {
     const auto bytes = read_asset(settings.scene_name());
     if (!bytes.ok()) return bytes.status();
     if ((*bytes)->starts_with("bad")) return absl::InvalidArgumentError("box.glb: not a scene");
-    return std::make_unique<FakeRenderer>(log_);
+    return std::make_unique<FakeRenderer>(log_, FeatureEndOf(settings.feature_spp()));
   }
 
  private:
@@ -178,7 +179,8 @@ TEST_F(WorkerSessionTest, RendersLeasesAndDrains) {
     EXPECT_EQ(delta.rays(), 3);
     const auto tile =
         DecodeDelta(PixelRect::FromSize(delta.window().x(), delta.window().y(), 16, 16),
-                    {delta.sample_begin(), delta.sample_end()}, delta.encoding(), delta.payload());
+                    {delta.sample_begin(), delta.sample_end()}, delta.feature_end(),
+                    delta.encoding(), delta.payload());
     ASSERT_TRUE(tile.ok()) << tile.status();
     EXPECT_EQ(tile->Floats(0, kRadianceMean)[5],
               static_cast<float>(delta.window().x() + delta.sample_begin()));
