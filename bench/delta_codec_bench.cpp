@@ -1,6 +1,7 @@
 // Bytes per pixel of deltas, and nanoseconds per pixel to fold, encode, decode and merge them.
 // Synthetic tiles: lognormal radiance over textured, tilted surfaces with an edge. A real delta:
-//   delta_codec_bench --delta=FILE,WIDTH,HEIGHT,BEGIN,END    (FILE: the bytes of TileDelta.payload)
+//   delta_codec_bench --delta=FILE,WIDTH,HEIGHT,BEGIN,END,F
+// (FILE: the bytes of TileDelta.payload; F: its feature_end)
 #include <benchmark/benchmark.h>
 
 #include <cmath>
@@ -38,14 +39,14 @@ PixelSample DrawSample(int x, int y, bool smooth, std::mt19937_64& random) {
   return sample;
 }
 
-TileStatistics SyntheticTile(int64_t num_samples, bool smooth, uint64_t seed) {
+TileStatistics SyntheticTile(SampleRange range, int64_t feature_end, bool smooth, uint64_t seed) {
   std::mt19937_64 random(seed);
-  TileStatistics tile(PixelRect::FromSize(0, 0, kTilePx, kTilePx), {0, num_samples});
+  TileStatistics tile(PixelRect::FromSize(0, 0, kTilePx, kTilePx), range, feature_end);
   PixelFolder folder;
   for (int y = 0; y < kTilePx; ++y) {
     for (int x = 0; x < kTilePx; ++x) {
-      folder.Begin(tile.range());
-      for (int64_t i = 0; i < num_samples; ++i) folder.Add(DrawSample(x, y, smooth, random));
+      folder.Begin(range, feature_end);
+      for (int64_t i = 0; i < range.size(); ++i) folder.Add(DrawSample(x, y, smooth, random));
       folder.Store(x, y, &tile);
     }
   }
@@ -75,8 +76,8 @@ void Encode(benchmark::State& state, const TileStatistics& tile, DeltaEncoding e
 void Decode(benchmark::State& state, const TileStatistics& tile, DeltaEncoding encoding) {
   const EncodedDelta delta = EncodeDelta(tile, encoding);
   for (auto _ : state) {
-    const auto decoded =
-        DecodeDelta(tile.window(), tile.range(), static_cast<uint32_t>(encoding), delta.payload);
+    const auto decoded = DecodeDelta(tile.window(), tile.range(), tile.feature_end(),
+                                     static_cast<uint32_t>(encoding), delta.payload);
     benchmark::DoNotOptimize(decoded.ok());
   }
   SetPerPixel(state, tile.num_pixels());
@@ -90,15 +91,11 @@ void RegisterCodec(const std::string& name, const TileStatistics& tile) {
   }
 }
 
+// Argument: where features end, 16 for a right side without them.
 void Merge(benchmark::State& state) {
-  const TileStatistics left = SyntheticTile(16, false, 1);
-  TileStatistics right(left.window(), {16, 32});
-  right.Merge(TileStatistics(left.window(), {32, 32}));
-  for (int half = 0; half < kNumHalves; ++half) {
-    for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
-      std::ranges::copy(left.Floats(half, plane), right.Floats(half, plane).begin());
-    }
-  }
+  const int64_t feature_end = state.range(0);
+  const TileStatistics left = SyntheticTile({0, 16}, feature_end, false, 1);
+  const TileStatistics right = SyntheticTile({16, 32}, feature_end, false, 2);
   TileStatistics joint = left;
   for (auto _ : state) {
     state.PauseTiming();
@@ -109,38 +106,44 @@ void Merge(benchmark::State& state) {
   SetPerPixel(state, left.num_pixels());
 }
 
+// Arguments: samples, and where features end.
 void AddSamples(benchmark::State& state) {
-  const int64_t num_samples = state.range(0);
+  const int64_t num_samples = state.range(0), feature_end = state.range(1);
   std::mt19937_64 random(1);
   std::vector<PixelSample> samples;
   for (int64_t i = 0; i < num_samples; ++i) samples.push_back(DrawSample(0, 0, false, random));
-  TileStatistics tile(PixelRect::FromSize(0, 0, 1, 1), {0, num_samples});
+  TileStatistics tile(PixelRect::FromSize(0, 0, 1, 1), {0, num_samples}, feature_end);
   PixelFolder folder;
   for (auto _ : state) {
-    folder.Begin(tile.range());
+    folder.Begin(tile.range(), feature_end);
     for (const PixelSample& sample : samples) folder.Add(sample);
     folder.Store(0, 0, &tile);
   }
   SetNanosecondsPer("sample", num_samples, state);
 }
 
-BENCHMARK(Merge)->Iterations(20000);
-BENCHMARK(AddSamples)->Arg(4)->Arg(16)->Arg(64)->Arg(1024);
+BENCHMARK(Merge)->Arg(16)->Arg(kAllFeatures)->Iterations(20000);
+BENCHMARK(AddSamples)
+    ->Args({4, kAllFeatures})
+    ->Args({16, kAllFeatures})
+    ->Args({64, kAllFeatures})
+    ->Args({1024, kAllFeatures})
+    ->Args({1024, 64});
 
-// Reads "FILE,WIDTH,HEIGHT,BEGIN,END".
+// Reads "FILE,WIDTH,HEIGHT,BEGIN,END,F".
 std::optional<TileStatistics> ReadDelta(const std::string& argument) {
   const size_t comma = argument.find(',');
   int width, height;
-  long long begin, end;
-  if (comma == std::string::npos || std::sscanf(argument.c_str() + comma, ",%d,%d,%lld,%lld",
-                                                &width, &height, &begin, &end) != 4) {
+  long long begin, end, feature_end;
+  if (comma == std::string::npos || std::sscanf(argument.c_str() + comma, ",%d,%d,%lld,%lld,%lld",
+                                                &width, &height, &begin, &end, &feature_end) != 5) {
     return std::nullopt;
   }
   std::ifstream file(argument.substr(0, comma), std::ios::binary);
   const std::string payload{std::istreambuf_iterator<char>(file), {}};
   for (const uint32_t encoding : {1u, 2u}) {
-    auto tile =
-        DecodeDelta(PixelRect::FromSize(0, 0, width, height), {begin, end}, encoding, payload);
+    auto tile = DecodeDelta(PixelRect::FromSize(0, 0, width, height), {begin, end}, feature_end,
+                            encoding, payload);
     if (tile.ok()) return *std::move(tile);
   }
   return std::nullopt;
@@ -150,6 +153,7 @@ std::optional<TileStatistics> ReadDelta(const std::string& argument) {
 }  // namespace tessera
 
 int main(int argc, char** argv) {
+  using tessera::kAllFeatures;
   using tessera::RegisterCodec;
   using tessera::SyntheticTile;
   std::vector<char*> arguments;
@@ -167,8 +171,11 @@ int main(int argc, char** argv) {
     RegisterCodec(argument.substr(8), *tile);
   }
   for (const int64_t num_samples : {1, 4, 16, 64}) {
-    RegisterCodec("smooth/" + std::to_string(num_samples), SyntheticTile(num_samples, true, 1));
-    RegisterCodec("rough/" + std::to_string(num_samples), SyntheticTile(num_samples, false, 1));
+    const std::string name = std::to_string(num_samples);
+    RegisterCodec("smooth/" + name, SyntheticTile({0, num_samples}, kAllFeatures, true, 1));
+    RegisterCodec("rough/" + name, SyntheticTile({0, num_samples}, kAllFeatures, false, 1));
+    RegisterCodec("settled/" + name,
+                  SyntheticTile({num_samples, 2 * num_samples}, num_samples, false, 1));
   }
   int num_arguments = static_cast<int>(arguments.size());
   benchmark::Initialize(&num_arguments, arguments.data());
