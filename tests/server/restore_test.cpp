@@ -219,7 +219,8 @@ class SaverTest : public RestoreTest {
         event.delta.set_job(JobName(job_));
         event.delta.set_tile_index(tile);
         event.delta.set_rays(1000 + tile);
-        event.tile = SyntheticTile(0, grid.WindowOf(tile), {0, size});
+        event.tile = SyntheticTile(0, grid.WindowOf(tile), {0, size},
+                                   FeatureEndOf(settings_.feature_spp()));
         if (run_->host.Post(std::move(event)).status.ok()) break;
       }
     }
