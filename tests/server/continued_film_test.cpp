@@ -44,8 +44,9 @@ TEST(CutFilm, KeepsWhatAllPixelsOfATileHave) {
 TEST(ReadContinuedFilm, TakesFilmsOfItsVersionOnly) {
   const v1::JobSettings settings = *CompleteSettings(SmallSettings(4), SmallConfig().defaults);
   const TileGrid grid(RegionOf(settings), settings.tile_size());
-  const Film film = SyntheticFilm(1, grid, 4);
+  const Film film = SyntheticFilm(1, grid, 4, FeatureEndOf(settings.feature_spp()));
   FilmFile file;
+  file.feature_end = film.feature_end();
   ASSERT_TRUE(google::protobuf::util::MessageToJsonString(settings, &file.settings).ok());
   for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
     for (const TileStatistics& node : film.Nodes(tile)) file.nodes.push_back(node);

@@ -108,7 +108,8 @@ TEST(CoordinatorBounds, FilmsThatJobsBeginWithFitIntoMemoryAndBudget) {
     const TileGrid grid(RegionOf(settings), settings.tile_size());
     return farm
         .Post(CreateJobEvent{.settings = settings,
-                             .film = std::make_shared<Film>(SyntheticFilm(0, grid, spp))})
+                             .film = std::make_shared<Film>(SyntheticFilm(
+                                 0, grid, spp, FeatureEndOf(settings.feature_spp())))})
         .status;
   };
   EXPECT_TRUE(begin_with(8).ok());

@@ -41,7 +41,7 @@ inline CoordinatorConfig SmallConfig() {
 
 inline std::string ExpectedDigest(const v1::JobSettings& s, int64_t spp) {
   const TileGrid grid(RegionOf(s), s.tile_size());
-  return ToBytes(SyntheticFilm(s.seed(), grid, spp).Digest());
+  return ToBytes(SyntheticFilm(s.seed(), grid, spp, FeatureEndOf(s.feature_spp())).Digest());
 }
 
 class SimulatedFarm {
