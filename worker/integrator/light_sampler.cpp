@@ -182,6 +182,7 @@ void LightSampler::Look(std::span<LightLook> looks) const {
     if (i > 0 && region == regions[i - 1] && transmits == looks[i - 1].transmits &&
         normal == looks[i - 1].surface->shading_normal) {
       view->sky = looks[i - 1].view->sky;
+      view->sky.normal = normal;  // equal, but zeros may differ in sign, and by it frames
       looks[i].weights = looks[i - 1].weights;
       continue;
     }

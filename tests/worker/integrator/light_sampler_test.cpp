@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <map>
 #include <memory>
@@ -131,6 +132,33 @@ TEST(LightSamplerTest, HundredsOfLightsSumToTheirIrradiance) {
   const RadianceMoments m = tracer.Render(256, 8);
   EXPECT_NEAR(m.mean[0], expected, 5.5 * m.standard_error[0] + 1e-3 * expected);
   EXPECT_LT(m.standard_error[0], 0.01 * expected);
+}
+
+// Zeros of both signs are equal, but the frames about them are not: a view that is made together
+// with another's samples what it samples alone.
+TEST(LightSamplerTest, CompanyOfAnEqualViewMovesNoBit) {
+  auto scene = std::make_unique<Scene>();
+  AddMesh(Quad(AddMaterial(Lambert(V3f(0.5f)), scene.get()), {0, -1, -1}, {0, 2, 0}, {0, 0, 2}),
+          scene.get());
+  scene->environment.emplace();
+  scene->environment->uniform = V3f(1);
+  const OpenTracer tracer(std::move(scene), 1, 1, 0);
+  const V3f normals[] = {V3f(1, 0, 0.f), V3f(1, 0, -0.f)};
+  std::array<Surface, 2> surfaces;
+  std::array<FullView, 2> together;
+  std::array<LightLook, 2> looks;
+  for (size_t i = 0; i < 2; ++i) {
+    surfaces[i].position = V3f(0, 0, 0);
+    surfaces[i].geometric_normal = surfaces[i].shading_normal = normals[i];
+    looks[i] = {&surfaces[i], false, &together[i], &together[i].weights};
+  }
+  tracer.lights().Look(looks);
+  const FullView alone = ViewFrom(tracer, V3f(0, 0, 0), normals[1]);
+  LightSample a, b;
+  ASSERT_TRUE(tracer.lights().Sample(alone, alone.weights, 0.3f, V2f(0.4f, 0.7f), &a));
+  ASSERT_TRUE(
+      tracer.lights().Sample(together[1], *looks[1].weights, 0.3f, V2f(0.4f, 0.7f), &b));
+  EXPECT_EQ(a.wi, b.wi);
 }
 
 // Rays pass a surface of alpha 0.25 three times of four; light drawn from it is dimmed alike.
