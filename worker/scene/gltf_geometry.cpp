@@ -72,6 +72,7 @@ class GeometryPlanner {
   GeometryPlan plan_;
   int64_t num_skipped_ = 0;  // points and lines
   int64_t num_instances_ = 0;
+  int64_t num_hidden_ = 0;  // instances of posed meshes
 };
 
 PrimitiveOutline GeometryPlanner::Outline(const GltfObject& primitive, int index) const {
@@ -131,6 +132,7 @@ void GeometryPlanner::AddNode(int node_index) {
     if (is_new) plan_.meshes.push_back(mesh);
     // A posed mesh is in world space: its node shows it once.
     const int64_t count = is_posed ? 1 : instance_count;
+    num_hidden_ += std::max(instance_count - count, int64_t{0});
     plan_.instances.push_back({entry->second, node_index, count});
     num_instances_ += count;
   }
@@ -148,6 +150,10 @@ absl::StatusOr<GeometryPlan> GeometryPlanner::Plan() {
   TESSERA_RETURN_IF_ERROR(document_->status());
   if (num_skipped_ > 0) {
     document_->AddNote(absl::StrCat(num_skipped_, " primitives of points or lines are not shown"));
+  }
+  if (num_hidden_ > 0) {
+    document_->AddNote(absl::StrCat(num_hidden_, " instances of skinned, morphed or flat meshes ",
+                                    "are not shown: such a node shows its mesh once"));
   }
   int64_t num_triangles = 0;
   for (const PlannedMesh& mesh : plan_.meshes) {

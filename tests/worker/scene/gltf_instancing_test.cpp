@@ -64,6 +64,15 @@ TEST(GltfInstancing, MirroredInstancesAreKeptAndFlatOnesDropped) {
   EXPECT_TRUE(HasNote(**scene, "2 instances without volume"));
 }
 
+TEST(GltfInstancing, InstancesThatAPoseHidesAreNoted) {
+  SceneFile file = ThreeInstances();
+  file.json["nodes"][0]["scale"] = {1, 1, 0};
+  const auto scene = file.Load();
+  ASSERT_TRUE(scene.ok()) << scene.status();
+  EXPECT_EQ((*scene)->instances.size(), 1u);
+  EXPECT_THAT((*scene)->notes, ::testing::Contains(HasSubstr("2 instances of skinned, morphed or flat")));
+}
+
 TEST(GltfInstancing, NoInstancesShowNothing) {
   SceneFile file = OneTriangle();
   AttributesOf(file)["TRANSLATION"] = file.AddFloats({}, "VEC3", 3);
