@@ -70,7 +70,8 @@ TEST(GltfInstancing, InstancesThatAPoseHidesAreNoted) {
   const auto scene = file.Load();
   ASSERT_TRUE(scene.ok()) << scene.status();
   EXPECT_EQ((*scene)->instances.size(), 1u);
-  EXPECT_THAT((*scene)->notes, ::testing::Contains(HasSubstr("2 instances of skinned, morphed or flat")));
+  EXPECT_THAT((*scene)->notes,
+              ::testing::Contains(HasSubstr("2 instances of skinned, morphed or flat")));
 }
 
 TEST(GltfInstancing, NoInstancesShowNothing) {
