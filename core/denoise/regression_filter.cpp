@@ -110,11 +110,17 @@ struct Filtered {
   // What tells how bright a pixel truly is: the halves' product, whose mean is the true square,
   // less the filtered square; and the variance of that product if the filtered value is true.
   Planes3 excess, excess_variance;
+  Plane known;  // 1 or 0; all planes are 0 where it is
 };
 
-// Fills excess and excess_variance.
+// Fills known, excess and excess_variance.
 void CompareSquares(const RegressionInput& input, Filtered* filtered) {
   const PixelRect& bounds = filtered->picture.bounds;
+  filtered->known.resize(static_cast<size_t>(bounds.area()));
+  for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+    std::copy_n(input.known.begin() + input.bounds.IndexOf(bounds.x_begin, y), bounds.width(),
+                filtered->known.begin() + bounds.IndexOf(bounds.x_begin, y));
+  }
   for (size_t c = 0; c < 3; ++c) {
     filtered->excess[c].resize(static_cast<size_t>(bounds.area()));
     filtered->excess_variance[c].resize(filtered->excess[c].size());
@@ -165,47 +171,50 @@ Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
 struct PooledErrors {
   PooledErrors(const Filtered& filtered, const PixelRect& window) {
     const PixelRect& bounds = filtered.picture.bounds;
-    const Plane ones(static_cast<size_t>(bounds.area()), 1.0f);
-    count = BoxSum(ones, bounds, kRiskRadiusPx, window);
-    near_count = BoxSum(ones, bounds, kNearRadiusPx, window);
+    count = BoxSum(filtered.known, bounds, kRiskRadiusPx, window);
     for (size_t c = 0; c < 3; ++c) {
       risk[c] = BoxSum(filtered.risk[c], bounds, kRiskRadiusPx, window);
       noise[c] = BoxSum(filtered.picture.noise[c], bounds, kRiskRadiusPx, window);
-      near_excess[c] = BoxSum(filtered.excess[c], bounds, kNearRadiusPx, window);
-      near_variance[c] = BoxSum(filtered.excess_variance[c], bounds, kNearRadiusPx, window);
     }
   }
-  // Of the immediate neighbours, which tell whether a pixel is as bright as it looks.
-  static constexpr int kNearRadiusPx = 1;
-  Plane count, near_count;
-  Planes3 risk, noise, near_excess, near_variance;
+  Plane count;  // of known pixels
+  Planes3 risk, noise;
 };
 
-// The square of a pixel's true value, to weigh its error with: the filtered value's square, moved
-// toward what the halves of the eight pixels around say as far as that stands out of their noise
-// (James & Stein's positive part). The pixel's own halves are left out, for they are in its error.
-float TrueSquare(const Filtered& filtered, const PooledErrors& pooled, size_t c, size_t i,
-                 size_t w) {
-  const float value = filtered.picture.color[c][i];
-  const float count = pooled.near_count[w] - 1.0f;
+// The square of the true value of the known pixel (x, y), to weigh its error with: the filtered
+// value's square, moved toward what the halves of the eight pixels around say as far as that stands
+// out of their noise (James & Stein's positive part). The pixel's own halves are left out, for they
+// are in its error.
+float TrueSquare(const Filtered& filtered, size_t c, int x, int y) {
+  const PixelRect& bounds = filtered.picture.bounds;
+  float count = 0, excess = 0, variance = 0;
+  for (int near_y = y - 1; near_y <= y + 1; ++near_y) {
+    for (int near_x = x - 1; near_x <= x + 1; ++near_x) {
+      if (!bounds.Contains(near_x, near_y) || (near_x == x && near_y == y)) continue;
+      const auto i = static_cast<size_t>(bounds.IndexOf(near_x, near_y));
+      count += filtered.known[i];
+      excess += filtered.excess[c][i];
+      variance += filtered.excess_variance[c][i];
+    }
+  }
+  const float value = filtered.picture.color[c][static_cast<size_t>(bounds.IndexOf(x, y))];
   if (!(count > 0)) return value * value;
-  const float excess = (pooled.near_excess[c][w] - filtered.excess[c][i]) / count;
-  const float variance =
-      (pooled.near_variance[c][w] - filtered.excess_variance[c][i]) / (count * count);
   const float square = excess * excess;
   const float part = square > variance ? 1.0f - variance / square : 0.0f;
-  return std::max(value * value + part * excess, 0.0f);
+  return std::max(value * value + part * (excess / count), 0.0f);
 }
 
-// Writes a filtered pixel: `i` in the filtered planes, `w` in the pooled ones, `to` in `out`.
-void WritePixel(const Filtered& filtered, const PooledErrors& pooled, size_t i, size_t w, size_t to,
+// Writes the known pixel (x, y), `w` in the pooled planes.
+void WritePixel(const Filtered& filtered, const PooledErrors& pooled, int x, int y, size_t w,
                 FilteredPlanes* out) {
+  const auto i = static_cast<size_t>(filtered.picture.bounds.IndexOf(x, y));
+  const auto to = static_cast<size_t>(out->bounds.IndexOf(x, y));
   for (size_t c = 0; c < 3; ++c) {
     const float value = std::max(filtered.picture.color[c][i], 0.0f);
     out->color[c][to] = value;
     out->error[c][to] =
         HalfWidth95(std::max(pooled.risk[c][w], pooled.noise[c][w]) / pooled.count[w]);
-    const float scale = 1.0f / (TrueSquare(filtered, pooled, c, i, w) + kRelMseEpsilon);
+    const float scale = 1.0f / (TrueSquare(filtered, c, x, y) + kRelMseEpsilon);
     out->relative_error[to] += filtered.risk[c][i] * scale;
     out->relative_noise[to] += filtered.picture.noise[c][i] * scale;
   }
@@ -233,14 +242,13 @@ void RegressionFilter::Filter(const FramePlanes& planes, const FrameParameters& 
     for (int x = window.x_begin; x < window.x_end; ++x, ++w) {
       const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
       const auto to = static_cast<size_t>(out->bounds.IndexOf(x, y));
-      const auto i = static_cast<size_t>(filtered.picture.bounds.IndexOf(x, y));
       const bool is_known = planes.samples[p] >= 2;
       bool is_huge = false;
       for (size_t c = 0; c < 3; ++c) is_huge |= !(planes.color[c][p] < kRegressionValueMax);
       out->relative_error[to] = 0;
       out->relative_noise[to] = 0;
       if (is_known && !is_huge) {
-        WritePixel(filtered, errors, i, w, to, out);
+        WritePixel(filtered, errors, x, y, w, out);
         continue;
       }
       for (size_t c = 0; c < 3; ++c) {

@@ -19,6 +19,24 @@ FilteredPlanes Filtered(const SyntheticFrame& frame,
   return DenoiseFrame(RegressionFilter(), frame.planes, quality, 2);
 }
 
+// What the filter reads of a pixel.
+void CopyPixel(const FramePlanes& from, size_t i, size_t k, FramePlanes* to) {
+  for (size_t c = 0; c < 3; ++c) {
+    to->color[c][k] = from.color[c][i];
+    for (size_t half = 0; half < kNumHalves; ++half) {
+      to->color_half[half][c][k] = from.color_half[half][c][i];
+    }
+    to->sample_variance_of_mean[c][k] = from.sample_variance_of_mean[c][i];
+    to->albedo[c][k] = from.albedo[c][i];
+    to->albedo_variance[c][k] = from.albedo_variance[c][i];
+    to->normal[c][k] = from.normal[c][i];
+    to->normal_variance[c][k] = from.normal_variance[c][i];
+  }
+  to->depth_variance[k] = from.depth_variance[i];
+  to->depth[k] = from.depth[i];
+  to->samples[k] = from.samples[i];
+}
+
 TEST(RegressionFilter, LowersTheErrorAtEveryNoiseLevel) {
   for (const float noise : {1.0f, 0.3f, 0.1f, 0.03f, 0.01f}) {
     const SyntheticFrame frame = MakeSyntheticFrame(kBounds, noise, 16, 7);
@@ -54,6 +72,44 @@ TEST(RegressionFilter, BitsDoNotDependOnWindowsFarFromTheBorder) {
         }
       }
     }
+  }
+}
+
+// Pixels without samples lend nothing, neither colour nor certainty: those beside them are as at
+// the border of a smaller frame.
+TEST(RegressionFilter, MissingPixelsAreLikeTheFramesBorder) {
+  constexpr PixelRect kKnown{0, 0, 37, 64};
+  SyntheticFrame frame = MakeSyntheticFrame(kBounds, 0.1f, 16, 5);
+  SyntheticFrame small{FramePlanes(kKnown), {}};
+  FramePlanes nothing(PixelRect{0, 0, 1, 1});
+  for (Planes3* planes :
+       {&nothing.sample_variance_of_mean, &nothing.albedo_variance, &nothing.normal_variance}) {
+    for (Plane& plane : *planes) plane[0] = INFINITY;
+  }
+  nothing.depth_variance[0] = INFINITY;
+  for (int y = 0; y < kBounds.y_end; ++y) {
+    for (int x = 0; x < kBounds.x_end; ++x) {
+      const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
+      if (kKnown.Contains(x, y)) {
+        CopyPixel(frame.planes, i, static_cast<size_t>(kKnown.IndexOf(x, y)), &small.planes);
+      } else {
+        CopyPixel(nothing, 0, i, &frame.planes);
+      }
+    }
+  }
+  for (const DenoiseQuality quality : {DenoiseQuality::kFinal, DenoiseQuality::kPreview}) {
+    const FilteredPlanes out = Filtered(frame, quality);
+    const FilteredPlanes expected = Filtered(small, quality);
+    for (int y = 0; y < kKnown.y_end; ++y) {
+      for (int x = 0; x < kKnown.x_end; ++x) {
+        const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
+        const auto k = static_cast<size_t>(kKnown.IndexOf(x, y));
+        ASSERT_EQ(out.color[0][i], expected.color[0][k]) << x << ',' << y;
+        ASSERT_EQ(out.error[0][i], expected.error[0][k]) << x << ',' << y;
+        ASSERT_EQ(out.relative_error[i], expected.relative_error[k]) << x << ',' << y;
+      }
+    }
+    EXPECT_EQ(out.error[0][static_cast<size_t>(kBounds.IndexOf(37, 9))], INFINITY);
   }
 }
 
