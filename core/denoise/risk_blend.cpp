@@ -21,12 +21,16 @@ size_t At(const PixelRect& bounds, int x, int y) {
 // Planes over the pixels that are pooled.
 struct Terms {
   Terms(const PixelRect& rect, size_t num_candidates)
-      : bounds(rect), difference(static_cast<size_t>(rect.area())), variance(difference.size()) {
+      : bounds(rect),
+        difference(static_cast<size_t>(rect.area())),
+        judges(difference.size()),
+        variance(difference.size()) {
     products.resize(num_candidates * (num_candidates + 1) / 2, Plane(difference.size()));
   }
   PixelRect bounds;
   std::vector<Plane> products;  // M_jk, row by row of the lower triangle, with the data's noise
   Plane difference;             // of the halves, as a variance of the mean
+  Plane judges;                 // what their variances add to each product
   Plane variance;
 };
 
@@ -69,7 +73,9 @@ void SetTerms(const RegressionInput& input, std::span<const PassOutput> candidat
                                            share_a * share_b * (difference[j] * difference[k]));
       }
     }
-    terms->difference[to] += scale * (share_a * share_b) * ((a - b) * (a - b));
+    const float raw = scale * (share_a * share_b) * ((a - b) * (a - b));
+    terms->difference[to] += raw;
+    terms->judges[to] += raw * (share_a / share_b + share_b / share_a);
     terms->variance[to] += scale * input.variance[c][p];
   }
 }
@@ -135,8 +141,8 @@ Weights Minimise(Matrix m, size_t n, float pull) {
 }
 
 // The blend's weights of a pixel; all zero where the raw mean stays.
-Weights ChooseWeights(const std::vector<Plane>& pooled, float difference, float variance,
-                      float share_a, size_t n, size_t i) {
+Weights ChooseWeights(const std::vector<Plane>& pooled, float difference, float judges,
+                      float variance, size_t n, size_t i) {
   Matrix m = {};
   for (size_t j = 0, at = 0; j < n; ++j) {
     for (size_t k = 0; k <= j; ++k, ++at) m[j][k] = m[k][j] = pooled[at][i];
@@ -147,8 +153,7 @@ Weights ChooseWeights(const std::vector<Plane>& pooled, float difference, float 
   for (size_t j = 0; j < n; ++j) {
     for (size_t k = 0; k < n; ++k) risk += weights[j] * weights[k] * m[j][k];
   }
-  const float share_b = 1.0f - share_a;
-  risk -= difference * (share_a / share_b + share_b / share_a);
+  risk -= judges;
   // False for NaN.
   if (!(risk <= difference)) weights = {};
   return weights;
@@ -171,6 +176,7 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
     pooled.push_back(BoxSum(plane, terms.bounds, kRiskRadiusPx, window));
   }
   const Plane difference = BoxSum(terms.difference, terms.bounds, kRiskRadiusPx, window);
+  const Plane judges = BoxSum(terms.judges, terms.bounds, kRiskRadiusPx, window);
   const Plane variance = BoxSum(terms.variance, terms.bounds, kRiskRadiusPx, window);
   BlendedPicture out;
   out.bounds = window;
@@ -184,7 +190,7 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
       if (input.known[p] == 0) continue;
       const float share_a = input.share_a[p];
       const float share_b = 1.0f - share_a;
-      const Weights weights = ChooseWeights(pooled, difference[i], variance[i], share_a, n, i);
+      const Weights weights = ChooseWeights(pooled, difference[i], judges[i], variance[i], n, i);
       const bool is_raw = weights == Weights{};
       for (size_t c = 0; c < 3; ++c) {
         const float a = input.color[0][c][p];

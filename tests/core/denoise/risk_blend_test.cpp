@@ -2,6 +2,7 @@
 #include "core/denoise/risk_blend.h"
 
 #include <random>
+#include <vector>
 
 #include "gtest/gtest.h"
 #include "tests/core/denoise/synthetic_frame.h"
@@ -65,6 +66,26 @@ TEST_F(RiskBlend, TheRawMeanStaysWhereNothingIsBetter) {
   for (size_t i = 0; i < blend.color[0].size(); ++i) {
     EXPECT_NEAR(blend.color[0][i], frame_.planes.color[0][i], 1e-6f);
   }
+}
+
+// Every ninth pixel has two samples, all around it have three: what the halves' own variances add
+// to the pooled error is theirs, not that of a pixel with equal halves. The candidate's error is
+// three quarters of the raw mean's, and the estimate's standard error about a sixth of it.
+TEST_F(RiskBlend, NeighboursMayHaveUnequalHalves) {
+  SyntheticFrame frame = MakeSyntheticFrame(kFrame, 0.3f, 3, 10);
+  std::vector<size_t> pixels;
+  for (int y = 4; y < kFrame.y_end; y += 9) {
+    for (int x = 4; x < kFrame.x_end; x += 9) {
+      pixels.push_back(static_cast<size_t>(kFrame.IndexOf(x, y)));
+      frame.planes.samples[pixels.back()] = 2;
+    }
+  }
+  const RegressionInput input(kFrame, kFrame, frame.planes);
+  const PassOutput candidates[] = {Candidate(0.26f, 0.0f, 1)};
+  const BlendedPicture blend = BlendByRisk(input, kFrame, candidates, kFrame);
+  size_t num_filtered = 0;
+  for (const size_t i : pixels) num_filtered += blend.color[1][i] == candidates[0].color[0][1][i];
+  EXPECT_GT(4 * num_filtered, 3 * pixels.size());
 }
 
 // Over all pixels the estimate equals the true squared error, for candidates that do not depend on
