@@ -1,7 +1,5 @@
 #include "worker/integrator/embree_scene.h"
 
-#include <tbb/global_control.h>
-
 #include <limits>
 
 #include "absl/strings/str_cat.h"
@@ -71,14 +69,10 @@ bool CountMemory(void* counter, ssize_t bytes, bool /*post*/) {
 
 absl::StatusOr<std::unique_ptr<EmbreeScene>> EmbreeScene::Create(Scene* scene,
                                                                  const SurfaceReader& surfaces,
-                                                                 const std::string& isa,
-                                                                 int build_threads) {
+                                                                 const std::string& isa) {
   absl::StatusOr<std::string> embree_isa = EmbreeIsaOf(isa);
   if (!embree_isa.ok()) return embree_isa.status();
   std::unique_ptr<EmbreeScene> result(new EmbreeScene());
-  // Not Embree's own `threads=`, which holds down all of TBB for as long as the device lives.
-  tbb::global_control threads(tbb::global_control::max_allowed_parallelism,
-                              static_cast<size_t>(build_threads < 1 ? 1 : build_threads));
   result->device_.reset(rtcNewDevice(absl::StrCat("isa=", *embree_isa).c_str()));
   if (result->device_ == nullptr) {
     return absl::FailedPreconditionError(

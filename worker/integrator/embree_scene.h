@@ -27,14 +27,13 @@ struct Ray {
 
 class EmbreeScene {
  public:
-  // Builds the hierarchies with `build_threads` threads; they do not change its bits.
+  // Builds the hierarchies with the threads that TBB is given; they do not change its bits.
   // Adds room behind each mesh's positions, as Embree reads 16 bytes at a time. Borrows both.
   // Errors: RESOURCE_EXHAUSTED  Embree is out of memory
   //         INVALID_ARGUMENT    unknown ISA class
   static absl::StatusOr<std::unique_ptr<EmbreeScene>> Create(Scene* scene,
                                                              const SurfaceReader& surfaces,
-                                                             const std::string& isa,
-                                                             int build_threads);
+                                                             const std::string& isa);
   ~EmbreeScene();
   EmbreeScene(const EmbreeScene&) = delete;
   EmbreeScene& operator=(const EmbreeScene&) = delete;

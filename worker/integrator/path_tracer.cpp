@@ -1,6 +1,10 @@
 #include "worker/integrator/path_tracer.h"
 
+#include <tbb/global_control.h>
+
+#include <algorithm>
 #include <array>
+#include <new>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -31,13 +35,28 @@ PathTracer::~PathTracer() = default;
 
 absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<Scene> scene,
                                                                const RenderSettings& settings) {
+  // Embree's own `threads=` would hold down all of TBB for as long as its device lives.
+  tbb::global_control threads(tbb::global_control::max_allowed_parallelism,
+                              static_cast<size_t>(std::max(1, settings.build_threads)));
   auto impl = std::make_unique<Impl>();
   impl->settings = settings;
+  try {
+    if (absl::Status status = Build(std::move(scene), impl.get()); !status.ok()) return status;
+  } catch (const std::bad_alloc&) {
+    return absl::ResourceExhaustedError(
+        "out of memory while the scene is built; reduce the scene or use a machine with more "
+        "memory");
+  }
+  return std::unique_ptr<PathTracer>(new PathTracer(std::move(impl)));
+}
+
+absl::Status PathTracer::Build(std::unique_ptr<Scene> scene, Impl* impl) {
+  const RenderSettings& settings = impl->settings;
   impl->scene = std::move(scene);
   Scene* s = impl->scene.get();
   impl->geometries = PlaceInstances(s);
   impl->surfaces = std::make_unique<SurfaceReader>(*s, impl->geometries);
-  auto embree = EmbreeScene::Create(s, *impl->surfaces, settings.isa, settings.build_threads);
+  auto embree = EmbreeScene::Create(s, *impl->surfaces, settings.isa);
   if (!embree.ok()) return embree.status();
   impl->embree = *std::move(embree);
   if (s->environment.has_value()) {
@@ -57,7 +76,7 @@ absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<S
   impl->walker = std::make_unique<PathWalker>(
       PathWalker::Parts{*impl->surfaces, *impl->embree, impl->environment.get(), *impl->lights,
                         *impl->camera, settings.max_depth});
-  return std::unique_ptr<PathTracer>(new PathTracer(std::move(impl)));
+  return absl::OkStatus();
 }
 
 namespace {

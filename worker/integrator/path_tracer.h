@@ -34,8 +34,9 @@ struct RenderCounters {
 
 class PathTracer {
  public:
-  // Builds acceleration structures and light samplers; takes the scene.
-  // Errors: RESOURCE_EXHAUSTED (Embree out of memory), FAILED_PRECONDITION (ISA class not on this
+  // Builds acceleration structures and light samplers, with settings.build_threads threads; takes
+  // the scene.
+  // Errors: RESOURCE_EXHAUSTED (out of memory), FAILED_PRECONDITION (ISA class not on this
   // machine), INVALID_ARGUMENT (unknown ISA class).
   static absl::StatusOr<std::unique_ptr<PathTracer>> Create(std::unique_ptr<Scene> scene,
                                                             const RenderSettings& settings);
@@ -54,6 +55,7 @@ class PathTracer {
  private:
   class Impl;
   explicit PathTracer(std::unique_ptr<Impl> impl);
+  static absl::Status Build(std::unique_ptr<Scene> scene, Impl* impl);
   std::unique_ptr<Impl> impl_;
 };
 

@@ -139,7 +139,7 @@ OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int 
       scene_(std::move(scene)),
       geometries_(PlaceInstances(scene_.get())) {
   surfaces_ = std::make_unique<SurfaceReader>(*scene_, geometries_);
-  embree_ = OrDie(EmbreeScene::Create(scene_.get(), *surfaces_, "x86-64-v3", 1));
+  embree_ = OrDie(EmbreeScene::Create(scene_.get(), *surfaces_, "x86-64-v3"));
   if (scene_->environment)
     environment_ = std::make_unique<EnvironmentSampler>(&*scene_->environment);
   const Imath::Box3f bounds = embree_->bounds();
