@@ -47,8 +47,8 @@ class Denoiser {
  public:
   virtual ~Denoiser() = default;
   virtual std::string_view name() const = 0;
-  // Pixels around a window that Filter reads at `quality`, the calibration of the variance included
-  // or not as planes.variance is an input.
+  // Pixels around a window that Filter reads at `quality`, not counting what planes.variance was
+  // calibrated from.
   virtual int halo_px(DenoiseQuality quality) const = 0;
   // The side of the windows into which large areas are best split: large against the halo.
   virtual int window_px() const { return 128; }

@@ -6,6 +6,7 @@
 
 #include "core/denoise/bilateral_filter.h"
 #include "core/denoise/denoise_frame.h"
+#include "core/denoise/risk_blend.h"
 #include "gtest/gtest.h"
 #include "tests/core/denoise/synthetic_frame.h"
 
@@ -178,6 +179,17 @@ TEST(RegressionFilter, AnOutlierDoesNotSpreadFar) {
   CalibrateVariance(kBounds, &frame.planes);
   const FilteredPlanes after = Filtered(frame);
   EXPECT_LE(Sum(after.color) - Sum(before.color), 3 * 0.5e4 * 1.01);
+  double far = 0;
+  for (int y = 0; y < kBounds.y_end; ++y) {
+    for (int x = 0; x < kBounds.x_end; ++x) {
+      if (std::abs(x - 40) <= kRiskRadiusPx && std::abs(y - 40) <= kRiskRadiusPx) continue;
+      const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
+      for (size_t c = 0; c < 3; ++c) far += std::abs(after.color[c][i] - before.color[c][i]);
+    }
+  }
+  // Pixels that look alike within the pool of its risk take over an eighth of it; all others
+  // together less than a fiftieth.
+  EXPECT_LT(far, 0.02 * 3 * 0.5e4);
 }
 
 }  // namespace
