@@ -115,6 +115,25 @@ TEST(Picture, RefinedDoesNotDependOnPreviews) {
   }
 }
 
+// What a preview's halo does not reach is not filtered again, and need not be. The frame is wider
+// than the halo on both sides of a tile.
+TEST(Picture, PreviewsHaveNoStalePixels) {
+  for (const std::string& denoiser : DenoiserNames()) {
+    SCOPED_TRACE(denoiser);
+    v1::JobSettings settings = Settings(denoiser);
+    settings.set_width(150);
+    const TileGrid grid(RegionOf(settings), settings.tile_size());
+    const Film two = SyntheticFilm(1, grid, 2), eight = SyntheticFilm(1, grid, 8);
+    Picture seen(settings), fresh(settings);
+    seen.Update(AllTiles(grid), From(two), DenoiseQuality::kPreview, 2);
+    for (const std::vector<int64_t>& group : OddGroups(grid)) {
+      seen.Update(group, From(eight), DenoiseQuality::kPreview, 2);
+    }
+    fresh.Update(AllTiles(grid), From(eight), DenoiseQuality::kPreview, 1);
+    ExpectSame(seen, fresh, grid.region());
+  }
+}
+
 TEST(Picture, RefinedInSlicesIsTheSame) {
   for (const std::string& denoiser : DenoiserNames()) {
     SCOPED_TRACE(denoiser);
