@@ -35,7 +35,7 @@ void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
     TESSERA_CHECK(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
                   out->bounds.Contains(window));
   }
-  const std::vector<PixelRect> parts = SplitWindows(windows, denoiser.window_px());
+  const std::vector<PixelRect> parts = SplitWindows(windows, denoiser.window_px(parameters.quality));
   // TBB warns on stderr when asked for more than this.
   num_threads = std::min(num_threads, oneapi::tbb::info::default_concurrency());
   if (num_threads <= 1) {

@@ -51,7 +51,7 @@ class Denoiser {
   // calibrated from.
   virtual int halo_px(DenoiseQuality quality) const = 0;
   // The side of the windows into which large areas are best split: large against the halo.
-  virtual int window_px() const { return 128; }
+  virtual int window_px(DenoiseQuality /*quality*/) const { return 128; }
   // Writes the pixels of `window` of `out` from `planes`, whose bounds contain the window expanded
   // by halo_px(parameters.quality) and cut at parameters.frame. Pixels without samples are filled
   // or left zero with an infinite error. Threads: const, any number at once on disjoint windows.

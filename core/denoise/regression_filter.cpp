@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <vector>
 
+#include "core/denoise/bilateral_filter.h"
 #include "core/denoise/box_sum.h"
 #include "core/denoise/confidence.h"
 #include "core/denoise/feature_prefilter.h"
@@ -14,8 +15,7 @@
 namespace tessera {
 namespace {
 
-constexpr int kWindowRadiusFinalPx = 9;
-constexpr int kWindowRadiusPreviewPx = 7;
+constexpr int kWindowRadiusPx = 9;
 constexpr int kLatticeStepPx = 4;
 // The pilot's variance is averaged over (2 r + 1)^2 pixels.
 constexpr int kPilotVarianceRadiusPx = 2;
@@ -31,13 +31,11 @@ constexpr PilotPassSettings kPilotPasses[] = {{1, 0.2f}, {0, 0.05f}};
 constexpr int kPilotPatchRadiusPx = 1;
 
 // Reach of the stages, from the result back to what is read.
-constexpr int kFinalReachPx = 2 * kWindowRadiusFinalPx + kOnDemandReachPx;
-constexpr int kPilotReachPx = kRiskRadiusPx + kFinalReachPx + kPilotPatchRadiusPx;
+constexpr int kPassReachPx = 2 * kWindowRadiusPx + kOnDemandReachPx;
+constexpr int kPilotReachPx = kRiskRadiusPx + kPassReachPx + kPilotPatchRadiusPx;
 constexpr int kCrossReachPx = kPilotReachPx + kPilotVarianceRadiusPx;
-constexpr int kFeatureReachPx = kCrossReachPx + kFinalReachPx;
+constexpr int kFeatureReachPx = kCrossReachPx + kPassReachPx;
 constexpr int kInputReachPx = kFeatureReachPx + std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx);
-constexpr int kPreviewInputReachPx = kRiskRadiusPx + PassReachPx(kWindowRadiusPreviewPx) +
-                                     std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx);
 
 // The pilot over `bounds`, from the first pass `kPilotVarianceRadiusPx` further.
 Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const PixelRect& bounds,
@@ -82,22 +80,16 @@ Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const Pix
 }
 
 std::vector<PassOutput> RunPasses(const RegressionInput& input, const SmoothFeatures& features,
-                                  const PixelRect& frame, const PixelRect& bounds,
-                                  DenoiseQuality quality) {
+                                  const PixelRect& frame, const PixelRect& bounds) {
   std::vector<PassOutput> candidates;
-  if (quality == DenoiseQuality::kPreview) {
-    candidates.push_back(RunCrossPass(
-        input, features, {frame, bounds, kWindowRadiusPreviewPx, kLatticeStepPx}));
-    return candidates;
-  }
-  const PixelRect pilot_bounds = bounds.Expand(kFinalReachPx + kPilotPatchRadiusPx);
+  const PixelRect pilot_bounds = bounds.Expand(kPassReachPx + kPilotPatchRadiusPx);
   const PixelRect cross_bounds = pilot_bounds.Expand(kPilotVarianceRadiusPx);
   candidates.push_back(
-      RunCrossPass(input, features, {frame, cross_bounds, kWindowRadiusFinalPx, kLatticeStepPx}));
+      RunCrossPass(input, features, {frame, cross_bounds, kWindowRadiusPx, kLatticeStepPx}));
   for (const PilotPassSettings& pass : kPilotPasses) {
     const Pilot pilot = MakePilot(input, candidates.front(), pilot_bounds, pass.raw_share);
     candidates.push_back(RunPilotPass(input, features, pilot, pass.patch_radius_px,
-                                      {frame, bounds, kWindowRadiusFinalPx, kLatticeStepPx}));
+                                      {frame, bounds, kWindowRadiusPx, kLatticeStepPx}));
   }
   return candidates;
 }
@@ -140,28 +132,25 @@ void CompareSquares(const RegressionInput& input, Filtered* filtered) {
   }
 }
 
-// At final quality the estimate of the error has no bias but what features share with the noise; a
-// preview does without the second run that it takes.
+// The estimate of the error has no bias but what features share with the noise.
 Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
-                        const PixelRect& pooled, DenoiseQuality quality) {
+                        const PixelRect& pooled) {
   const PixelRect bounds = pooled.Expand(kRiskRadiusPx);
   const PixelRect inside = pooled.Intersect(frame);
-  const SmoothFeatures features = PrefilterFeatures(
-      input, bounds.Expand(quality == DenoiseQuality::kPreview ? PassReachPx(kWindowRadiusPreviewPx)
-                                                               : kFeatureReachPx - kRiskRadiusPx));
+  const SmoothFeatures features =
+      PrefilterFeatures(input, bounds.Expand(kFeatureReachPx - kRiskRadiusPx));
   const auto run = [&](const RegressionInput& data) {
-    return BlendByRisk(data, frame, RunPasses(data, features, frame, bounds, quality), inside);
+    return BlendByRisk(data, frame, RunPasses(data, features, frame, bounds), inside);
   };
   Filtered filtered;
   filtered.picture = run(input);
-  filtered.risk = filtered.picture.dual_risk;
+  filtered.risk = filtered.picture.residual;
   CompareSquares(input, &filtered);
-  if (quality == DenoiseQuality::kPreview) return filtered;
   const RegressionInput probed = ProbedInput(input);
   const Planes3 covariance = NoiseCovariance(input, probed, filtered.picture, run(probed));
   for (size_t c = 0; c < 3; ++c) {
     for (size_t i = 0; i < filtered.risk[c].size(); ++i) {
-      filtered.risk[c][i] = filtered.picture.residual[c][i] + 2.0f * covariance[c][i];
+      filtered.risk[c][i] += 2.0f * covariance[c][i];
     }
   }
   return filtered;
@@ -223,19 +212,18 @@ void WritePixel(const Filtered& filtered, const PooledErrors& pooled, int x, int
 }  // namespace
 
 int RegressionFilter::halo_px(DenoiseQuality quality) const {
-  return kRiskRadiusPx +
-         (quality == DenoiseQuality::kPreview ? kPreviewInputReachPx : kInputReachPx) +
-         kVarianceRadiusPx;
+  if (quality == DenoiseQuality::kPreview) return BilateralFilter().halo_px(quality);
+  return kRiskRadiusPx + kInputReachPx + kVarianceRadiusPx;
 }
 
 void RegressionFilter::Filter(const FramePlanes& planes, const FrameParameters& parameters,
                               const PixelRect& window, FilteredPlanes* out) const {
+  if (parameters.quality == DenoiseQuality::kPreview) {
+    return BilateralFilter().Filter(planes, parameters, window, out);
+  }
   const PixelRect pooled = window.Expand(kRiskRadiusPx);
-  const bool is_preview = parameters.quality == DenoiseQuality::kPreview;
-  const RegressionInput input(pooled.Expand(is_preview ? kPreviewInputReachPx : kInputReachPx),
-                              parameters.frame, planes);
-  const Filtered filtered =
-      FilterAndJudge(input, parameters.frame, pooled, parameters.quality);
+  const RegressionInput input(pooled.Expand(kInputReachPx), parameters.frame, planes);
+  const Filtered filtered = FilterAndJudge(input, parameters.frame, pooled);
   const PooledErrors errors(filtered, window);
   size_t w = 0;
   for (int y = window.y_begin; y < window.y_end; ++y) {

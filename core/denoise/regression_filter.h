@@ -10,12 +10,11 @@ namespace tessera {
 // Final: features are prefiltered; a first pass fits each half of the samples with weights from the
 // other; two passes fit again with weights from the first one's result, one comparing patches, one
 // single pixels; every pixel gets the blend of the three that has the least estimated error, or the
-// raw mean where none is better. Preview: the first pass alone, in smaller windows.
+// raw mean where none is better. Preview: the bilateral filter's, a tenth of the time.
 //
 // Error: 1.96 times the root of the mean squared error, noise and bias, by Stein's estimate with a
 // random probe, pooled over 9x9 pixels, and at least of the noise by which the filtered halves
-// differ; a preview takes the dual buffers' estimate, which overlooks what weights take from both.
-// +inf where a pixel has fewer than two samples.
+// differ. +inf where a pixel has fewer than two samples.
 //
 // Pixels with fewer than two samples keep their raw mean and lend nothing to others; pixels beyond
 // 2^40 keep theirs. No filtered value is negative: radiance is not.
@@ -23,7 +22,9 @@ class RegressionFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "regression"; }
   int halo_px(DenoiseQuality quality) const override;
-  int window_px() const override { return 256; }
+  int window_px(DenoiseQuality quality) const override {
+    return quality == DenoiseQuality::kFinal ? 256 : Denoiser::window_px(quality);
+  }
   void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
               FilteredPlanes* out) const override;
 };

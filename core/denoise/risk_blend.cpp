@@ -180,7 +180,7 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
   const Plane variance = BoxSum(terms.variance, terms.bounds, kRiskRadiusPx, window);
   BlendedPicture out;
   out.bounds = window;
-  for (Planes3* planes : {&out.color, &out.dual_risk, &out.residual, &out.noise}) {
+  for (Planes3* planes : {&out.color, &out.residual, &out.noise}) {
     for (Plane& plane : *planes) plane.resize(difference.size());
   }
   size_t i = 0;
@@ -208,11 +208,6 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
         out.noise[c][i] = shares * ((filtered_a - filtered_b) * (filtered_a - filtered_b));
         const float moved = out.color[c][i] - (share_a * a + share_b * b);
         out.residual[c][i] = moved * moved - raw;
-        out.dual_risk[c][i] = is_raw ? raw
-                                     : share_a * ((b - filtered_a) * (b - filtered_a)) +
-                                           share_b * ((a - filtered_b) * (a - filtered_b)) -
-                                           raw * (share_a / share_b + share_b / share_a) -
-                                           out.noise[c][i];
       }
     }
   }

@@ -17,11 +17,11 @@ inline constexpr int kNumCandidatesMax = 4;
 struct BlendedPicture {
   PixelRect bounds;
   Planes3 color;
-  Planes3 dual_risk;   // squared error of each channel by the dual buffers: unbiased but for the
-                       // dependence of weights on both halves, not pooled, may be negative
-  Planes3 residual;    // (filtered - raw)^2 less the raw mean's variance by its halves: unbiased
-                       // once twice the covariance of filtered colour and raw noise is added
-  Planes3 noise;       // the part of the squared error that the filtered halves differ by
+  // Of each channel, not pooled, may be negative: (filtered - raw)^2 less the raw mean's variance
+  // by its halves. The squared error without bias once twice the covariance of filtered colour and
+  // raw noise is added.
+  Planes3 residual;
+  Planes3 noise;  // the part of the squared error that the filtered halves differ by
 };
 
 // Blends `candidates` (each at least over `window` expanded by kRiskRadiusPx and cut at `frame`)

@@ -211,7 +211,7 @@ double Picture::Resolve(const std::vector<int64_t>& changed, const TileSource& s
 double Picture::Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                        int num_threads) {
   const FrameParameters parameters{.frame = grid_.region(), .quality = quality};
-  const std::vector<PixelRect> parts = Split(windows, denoiser_->window_px());
+  const std::vector<PixelRect> parts = Split(windows, denoiser_->window_px(quality));
   return ParallelFor(parts.size(), num_threads, [&](size_t i) {
     FilteredPlanes part(parts[i]);
     denoiser_->Filter(planes_, parameters, parts[i], &part);

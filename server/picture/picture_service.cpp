@@ -15,7 +15,7 @@ constexpr int64_t kIdleKeepMs = 60000;   // how long a picture that nobody looks
 // Of all pictures that nobody looks at: 16 Mpx of about 176 bytes are 2.8 GiB.
 constexpr int64_t kIdlePixelsMax = int64_t{1} << 24;
 constexpr int64_t kSleepMaxMs = 1000;
-// Of a slice, for each thread: four units of work, 40 to 80 ms.
+// Of a slice, for each thread: about a second at the default filter's final quality.
 constexpr int64_t kSlicePixels = int64_t{1} << 16;
 
 int64_t MonotonicMs() {
@@ -27,7 +27,10 @@ int64_t MonotonicMs() {
 }  // namespace
 
 PictureService::PictureService(PictureSource source, int num_threads)
-    : source_(std::move(source)), num_threads_(num_threads), thread_([this] { Run(); }) {}
+    : source_(std::move(source)),
+      num_threads_(num_threads),
+      threads_{std::thread([this] { Run(kPreviews); }),
+               std::thread([this] { Run(kRefinements); })} {}
 
 PictureService::~PictureService() { Stop(); }
 
@@ -37,7 +40,9 @@ void PictureService::Stop() {
     stopping_ = true;
   }
   wake_.notify_all();
-  if (thread_.joinable()) thread_.join();
+  for (std::thread& thread : threads_) {
+    if (thread.joinable()) thread.join();
+  }
   std::vector<Done> waiting;
   {
     std::lock_guard lock(mu_);
@@ -116,19 +121,22 @@ void PictureService::Fetch(JobId job, bool wait, Done done) {
   done(std::move(ready));
 }
 
-void PictureService::Run() {
+void PictureService::Run(Lane lane) {
   std::unique_lock lock(mu_);
   while (!stopping_) {
     int64_t sleep_ms = kSleepMaxMs;
-    const JobId job = Choose(MonotonicMs(), &sleep_ms);
+    const JobId job = Choose(lane, MonotonicMs(), &sleep_ms);
     if (job == 0) {
       wake_.wait_for(lock, std::chrono::milliseconds(sleep_ms));
       EvictIdle(MonotonicMs());
       continue;
     }
+    under_way_[lane] = job;
     lock.unlock();
-    RunRound(job);
+    RunRound(lane, job);
     lock.lock();
+    under_way_[lane] = 0;
+    wake_.notify_all();  // the other lane may have waited for this job
     EvictIdle(MonotonicMs());
   }
 }
@@ -140,27 +148,27 @@ std::optional<int64_t> PictureService::DueMs(const Entry& entry) {
   return std::max(entry.not_before_ms, entry.refine_at_ms);
 }
 
-JobId PictureService::Choose(int64_t now_ms, int64_t* sleep_ms) const {
-  JobId preview = 0, slice = 0;
-  // In turn, so that a job that is asked for all the time keeps no other from its end.
-  const auto take_turn = [this](JobId id, const Entry& entry, JobId* first) {
-    if (*first == 0 || entry.last_round < entries_.at(*first).last_round) *first = id;
-  };
+bool PictureService::IsUnderWay(JobId job) const {
+  return std::ranges::find(under_way_, job) != under_way_.end();
+}
+
+JobId PictureService::Choose(Lane lane, int64_t now_ms, int64_t* sleep_ms) const {
+  JobId first = 0;
   for (const auto& [id, entry] : entries_) {
-    if (entry.WantsQuality() || entry.removed) {
-      take_turn(id, entry, &slice);
-      continue;
+    const bool is_refinement = entry.WantsQuality() || entry.removed;
+    if (is_refinement != (lane == kRefinements) || IsUnderWay(id)) continue;
+    if (!is_refinement) {
+      const std::optional<int64_t> due_ms = entry.waiting.empty() ? DueMs(entry) : now_ms;
+      if (!due_ms) continue;
+      if (*due_ms > now_ms) {
+        *sleep_ms = std::min(*sleep_ms, *due_ms - now_ms);
+        continue;
+      }
     }
-    const std::optional<int64_t> due_ms = entry.waiting.empty() ? DueMs(entry) : now_ms;
-    if (!due_ms) continue;
-    if (*due_ms <= now_ms) {
-      take_turn(id, entry, &preview);
-    } else {
-      *sleep_ms = std::min(*sleep_ms, *due_ms - now_ms);
-    }
+    // In turn, so that a job that is asked for all the time keeps no other from its end.
+    if (first == 0 || entry.last_round < entries_.at(first).last_round) first = id;
   }
-  if (preview == 0 || slice == 0) return preview != 0 ? preview : slice;
-  return last_was_preview_ ? slice : preview;
+  return first;
 }
 
 void PictureService::Abandon(JobId job) {
@@ -199,7 +207,7 @@ std::shared_ptr<Picture> PictureService::TakeChanges(JobId job, const PictureSou
   return fresh;
 }
 
-void PictureService::RunRound(JobId job) {
+void PictureService::RunRound(Lane lane, JobId job) {
   std::shared_ptr<Picture> refined;
   bool refine = false, removed = false;
   {
@@ -207,10 +215,9 @@ void PictureService::RunRound(JobId job) {
     Entry& entry = entries_[job];
     entry.last_round = ++num_rounds_;
     removed = entry.removed;
-    last_was_preview_ = !entry.WantsQuality();
     entry.blank = entry.picture == nullptr;
     if (entry.refinement != nullptr) refined = entry.picture;
-    if (refined == nullptr) refine = std::exchange(entry.refine, false);
+    if (lane == kRefinements && refined == nullptr) refine = std::exchange(entry.refine, false);
   }
   if (removed) return Abandon(job);
   if (refined != nullptr) return RunSlice(job, refined);
@@ -221,18 +228,23 @@ void PictureService::RunRound(JobId job) {
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
-    round.waiting = std::exchange(entry.waiting, {});
-    round.finish = std::exchange(entry.finish, false);
-    const bool is_asked_for = refine || entry.refine || round.finish || !round.waiting.empty();
-    if (view->has_samples || is_asked_for) entry.blank = false;
     // What has been asked for since the round began leads to another one, as the view may be older;
     // if it is not, this round's answer counts and must have the job's quality.
-    refine |= !view->is_sampling || entry.refine || round.finish;
+    refine |= entry.refine || entry.finish;
+    const bool is_asked_for = refine || !entry.waiting.empty();
+    if (view->has_samples || is_asked_for) entry.blank = false;
     entry.wanted = false;
     if (entry.picture == nullptr && !view->has_samples && !is_asked_for) {
       entry.used_ms = MonotonicMs();
       return;
     }
+    refine |= !view->is_sampling;
+    if (refine && lane == kPreviews) {  // for the other lane
+      entry.refine = true;
+      return;
+    }
+    round.waiting = std::exchange(entry.waiting, {});
+    round.finish = std::exchange(entry.finish, false);
   }
   std::vector<int64_t> changed;
   const std::shared_ptr<Picture> picture = TakeChanges(job, *view, &changed);
@@ -289,16 +301,19 @@ void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture
 }
 
 void PictureService::EvictIdle(int64_t now_ms) {
-  const auto is_idle = [](const Entry& entry) {
-    return entry.watchers == 0 && entry.waiting.empty() && !entry.WantsQuality() && !entry.wanted;
+  const auto is_idle = [this](const std::pair<const JobId, Entry>& item) {
+    const Entry& entry = item.second;
+    return entry.watchers == 0 && entry.waiting.empty() && !entry.WantsQuality() &&
+           !entry.wanted && !IsUnderWay(item.first);
   };
   std::erase_if(entries_, [&](const auto& item) {
-    return is_idle(item.second) && now_ms - item.second.used_ms > kIdleKeepMs;
+    return is_idle(item) && now_ms - item.second.used_ms > kIdleKeepMs;
   });
   // Whoever looks through the pictures of many jobs leaves them all behind: the newest stay.
   std::vector<std::pair<int64_t, JobId>> idle;  // (used_ms, job)
-  for (const auto& [id, entry] : entries_) {
-    if (is_idle(entry) && entry.picture != nullptr) idle.emplace_back(entry.used_ms, id);
+  for (const auto& item : entries_) {
+    if (!is_idle(item) || item.second.picture == nullptr) continue;
+    idle.emplace_back(item.second.used_ms, item.first);
   }
   std::ranges::sort(idle, std::greater<>());
   int64_t pixels = 0;

@@ -3,9 +3,11 @@
 // has no picture in memory; with a watcher, filtering takes at most kPreviewShare of the machine,
 // and the rate follows from what a round costs. Latest wins: a round takes whatever has changed
 // since the last one. Previews of a job that is sampled are filtered at preview quality; at rest,
-// or when somebody waits, the picture has the job's.
+// or when somebody waits, the picture has the job's. Previews have a thread of their own, so that
+// none waits while another job's picture is refined.
 #pragma once
 
+#include <array>
 #include <condition_variable>
 #include <cstdint>
 #include <functional>
@@ -24,7 +26,7 @@
 
 namespace tessera {
 
-// Where pictures come from and what they lead to; all callable from the service's thread.
+// Where pictures come from and what they lead to; all callable from the service's two threads.
 struct PictureSource {
   struct JobView {
     v1::JobSettings settings;
@@ -59,14 +61,14 @@ class PictureService {
   void AddWatcher(JobId job);
   void RemoveWatcher(JobId job);
 
-  // Calls done(picture), on the service's thread or at once, when the picture shows at least
+  // Calls done(picture), on one of the service's threads or at once, when the picture shows at least
   // everything that had been merged before the call, at the job's quality (wait), or else any
   // moment, but samples if there are any. null: the job does not exist any more, or the service
   // stops.
   using Done = std::function<void(std::shared_ptr<const Picture>)>;
   void Fetch(JobId job, bool wait, Done done);
 
-  // Ends the thread; waiting fetches get null. Idempotent.
+  // Ends the threads; waiting fetches get null. Idempotent.
   void Stop();
 
  private:
@@ -97,15 +99,18 @@ class PictureService {
     bool WantsQuality() const { return refinement != nullptr || refine || finish; }
   };
 
-  void Run();
+  // What each of the two threads is for. A job's picture is with one of them at a time.
+  enum Lane { kPreviews, kRefinements, kNumLanes };
+
+  void Run(Lane lane);
   // When the entry's next round is due for those who look on; nullopt: never.
   static std::optional<int64_t> DueMs(const Entry& entry);
-  // The job whose picture has its turn; 0 = none, and then *sleep_ms is how long to sleep.
-  // Previews and slices of refinements alternate while there are both, so that neither waits for
-  // more than one of the other; within each kind, jobs take turns.
-  JobId Choose(int64_t now_ms, int64_t* sleep_ms) const;
+  bool IsUnderWay(JobId job) const;
+  // The job whose picture has its turn in the lane; 0 = none, and then *sleep_ms is how long to
+  // sleep. Jobs take turns.
+  JobId Choose(Lane lane, int64_t now_ms, int64_t* sleep_ms) const;
   // A preview, or the first slice of a refinement.
-  void RunRound(JobId job);
+  void RunRound(Lane lane, JobId job);
   // The next slice of the job's refinement, and what follows from its last one.
   void RunSlice(JobId job, const std::shared_ptr<Picture>& picture);
   // Ends a round: when the next may begin, what was found, and who waited for it.
@@ -123,9 +128,9 @@ class PictureService {
   std::condition_variable wake_;
   std::map<JobId, Entry> entries_;
   int64_t num_rounds_ = 0;
-  bool last_was_preview_ = false;
+  std::array<JobId, kNumLanes> under_way_ = {};  // whose round each lane runs; 0: none
   bool stopping_ = false;
-  std::thread thread_;
+  std::array<std::thread, kNumLanes> threads_;
 };
 
 }  // namespace tessera

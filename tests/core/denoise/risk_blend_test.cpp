@@ -98,8 +98,8 @@ TEST_F(RiskBlend, RiskIsUnbiasedForIndependentCandidates) {
     for (size_t i = 0; i < blend.color[c].size(); ++i) {
       const double scale = 1 / (double{frame_.truth[c][i]} * frame_.truth[c][i] + 0.01);
       const double error = double{blend.color[c][i]} - frame_.truth[c][i];
-      const double difference = scale * (blend.dual_risk[c][i] - error * error);
-      risk += scale * blend.dual_risk[c][i];
+      const double difference = scale * (blend.residual[c][i] - error * error);
+      risk += scale * blend.residual[c][i];
       truth += scale * error * error;
       square += difference * difference;
     }
