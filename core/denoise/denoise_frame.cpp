@@ -35,7 +35,8 @@ void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
     TESSERA_CHECK(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
                   out->bounds.Contains(window));
   }
-  const std::vector<PixelRect> parts = SplitWindows(windows, denoiser.window_px(parameters.quality));
+  const int window_px = denoiser.window_px(parameters.quality);
+  const std::vector<PixelRect> parts = SplitWindows(windows, window_px);
   // TBB warns on stderr when asked for more than this.
   num_threads = std::min(num_threads, oneapi::tbb::info::default_concurrency());
   if (num_threads <= 1) {

@@ -61,8 +61,8 @@ class PictureService {
   void AddWatcher(JobId job);
   void RemoveWatcher(JobId job);
 
-  // Calls done(picture), on one of the service's threads or at once, when the picture shows at least
-  // everything that had been merged before the call, at the job's quality (wait), or else any
+  // Calls done(picture), on one of the service's threads or at once, when the picture shows at
+  // least everything that had been merged before the call, at the job's quality (wait), or else any
   // moment, but samples if there are any. null: the job does not exist any more, or the service
   // stops.
   using Done = std::function<void(std::shared_ptr<const Picture>)>;
