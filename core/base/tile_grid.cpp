@@ -32,4 +32,16 @@ std::vector<int64_t> TileGrid::TilesIn(const PixelRect& rect) const {
   return tiles;
 }
 
+std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows, int size_px) {
+  std::vector<PixelRect> parts;
+  for (const PixelRect& window : windows) {
+    for (int y = window.y_begin; y < window.y_end; y += size_px) {
+      for (int x = window.x_begin; x < window.x_end; x += size_px) {
+        parts.push_back(PixelRect::FromSize(x, y, size_px, size_px).Intersect(window));
+      }
+    }
+  }
+  return parts;
+}
+
 }  // namespace tessera

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "core/base/pixel_rect.h"
@@ -31,5 +32,8 @@ class TileGrid {
   int num_columns_ = 0;
   int num_rows_ = 0;
 };
+
+// Cuts each window into parts of at most size_px x size_px pixels, row by row. size_px >= 1.
+std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows, int size_px);
 
 }  // namespace tessera

@@ -4,26 +4,12 @@
 #include <vector>
 
 #include "core/base/check.h"
+#include "core/base/tile_grid.h"
 #include "oneapi/tbb/info.h"
 #include "oneapi/tbb/parallel_for.h"
 #include "oneapi/tbb/task_arena.h"
 
 namespace tessera {
-namespace {
-
-std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows, int size_px) {
-  std::vector<PixelRect> parts;
-  for (const PixelRect& window : windows) {
-    for (int y = window.y_begin; y < window.y_end; y += size_px) {
-      for (int x = window.x_begin; x < window.x_end; x += size_px) {
-        parts.push_back(PixelRect::FromSize(x, y, size_px, size_px).Intersect(window));
-      }
-    }
-  }
-  return parts;
-}
-
-}  // namespace
 
 void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
                     const FrameParameters& parameters, std::span<const PixelRect> windows,

@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
+#include "core/base/tile_grid.h"
 #include "core/image/layers.h"
 #include "core/statistics/calibration.h"
 #include "server/coordinator/job_settings.h"
@@ -34,18 +35,6 @@ std::vector<int64_t> Reached(const TileGrid& grid, const std::vector<int64_t>& t
     }
   }
   return {reached.begin(), reached.end()};
-}
-
-std::vector<PixelRect> Split(const std::vector<PixelRect>& windows, int size_px) {
-  std::vector<PixelRect> parts;
-  for (const PixelRect& window : windows) {
-    for (int y = window.y_begin; y < window.y_end; y += size_px) {
-      for (int x = window.x_begin; x < window.x_end; x += size_px) {
-        parts.push_back(PixelRect::FromSize(x, y, size_px, size_px).Intersect(window));
-      }
-    }
-  }
-  return parts;
 }
 
 // Copies all of `from`.
@@ -162,8 +151,8 @@ double Picture::Refine(int64_t pixels_max, int num_threads) {
 double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource& source,
                           int num_threads, std::vector<int64_t>* resolved) {
   double cpu_seconds = Resolve(changed, source, num_threads, resolved);
-  const std::vector<PixelRect> moved =
-      Split(JoinTiles(grid_, Reached(grid_, *resolved, kCalibrationRadiusPx)), kResolvedPartPx);
+  const std::vector<int64_t> reached = Reached(grid_, *resolved, kCalibrationRadiusPx);
+  const std::vector<PixelRect> moved = SplitWindows(JoinTiles(grid_, reached), kResolvedPartPx);
   {
     std::unique_lock lock(variance_mu_);
     cpu_seconds += ParallelFor(moved.size(), num_threads,
@@ -211,7 +200,7 @@ double Picture::Resolve(const std::vector<int64_t>& changed, const TileSource& s
 double Picture::Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                        int num_threads) {
   const FrameParameters parameters{.frame = grid_.region(), .quality = quality};
-  const std::vector<PixelRect> parts = Split(windows, denoiser_->window_px(quality));
+  const std::vector<PixelRect> parts = SplitWindows(windows, denoiser_->window_px(quality));
   return ParallelFor(parts.size(), num_threads, [&](size_t i) {
     FilteredPlanes part(parts[i]);
     denoiser_->Filter(planes_, parameters, parts[i], &part);

@@ -1,5 +1,6 @@
 #include "worker/session/job_conversion.h"
 
+#include <limits>
 #include <numbers>
 
 #include "core/base/sha256.h"
@@ -81,6 +82,16 @@ RenderSettings RenderSettingsOf(const v1::JobSettings& settings, int build_threa
   render.isa = settings.isa().empty() ? kDefaultIsaClass : settings.isa();
   render.build_threads = build_threads;
   return render;
+}
+
+int64_t AssetBytesOf(const v1::JobSettings& settings) {
+  int64_t total = 0;
+  for (const v1::AssetRef& asset : settings.assets()) {
+    if (__builtin_add_overflow(total, asset.size_bytes(), &total)) {
+      return std::numeric_limits<int64_t>::max();
+    }
+  }
+  return total;
 }
 
 std::string SceneKeyOf(const v1::JobSettings& settings) {

@@ -2,6 +2,7 @@
 // from a scene to the report that the server shows.
 #pragma once
 
+#include <cstdint>
 #include <string>
 
 #include "tessera/v1/job.pb.h"
@@ -16,6 +17,9 @@ inline constexpr char kDefaultIsaClass[] = "x86-64-v3";
 // `memory_max_bytes`: 0 = unlimited.
 SceneRequest SceneRequestOf(const v1::JobSettings& settings, int64_t memory_max_bytes);
 RenderSettings RenderSettingsOf(const v1::JobSettings& settings, int build_threads);
+
+// Of all the job's files; saturates, as sizes come from outside.
+int64_t AssetBytesOf(const v1::JobSettings& settings);
 
 // Names the built scene: the SHA-256 (hex) of the settings that a renderer depends on. Jobs that
 // differ in spp, region, tile size, filter or priority only have the same key and share a scene.

@@ -1,11 +1,11 @@
 #include "worker/session/scene_builder.h"
 
 #include <chrono>
-#include <limits>
 #include <map>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "worker/session/job_conversion.h"
 
 namespace tessera {
 namespace {
@@ -15,17 +15,6 @@ BuildOutcome Failure(BuildOutcome::Kind kind, const absl::Status& error) {
   outcome.kind = kind;
   outcome.detail = std::string(error.message());
   return outcome;
-}
-
-// The sum saturates: sizes come from outside.
-int64_t TotalBytes(const v1::JobSettings& settings) {
-  int64_t total = 0;
-  for (const v1::AssetRef& asset : settings.assets()) {
-    if (__builtin_add_overflow(total, asset.size_bytes(), &total)) {
-      return std::numeric_limits<int64_t>::max();
-    }
-  }
-  return total;
 }
 
 }  // namespace
@@ -102,7 +91,7 @@ void SceneBuilder::Run() {
 BuildOutcome SceneBuilder::BuildNow(const v1::JobSettings& settings,
                                     std::shared_ptr<const Renderer>* renderer) {
   const auto begin = std::chrono::steady_clock::now();
-  const int64_t asset_bytes = TotalBytes(settings);
+  const int64_t asset_bytes = AssetBytesOf(settings);
   if (memory_bytes_ > 0 && asset_bytes > memory_bytes_) {
     return Failure(BuildOutcome::Kind::kMemory,
                    absl::ResourceExhaustedError(absl::StrCat("the scene's files have ", asset_bytes,

@@ -1,29 +1,14 @@
 // The part of SessionMachine that decides which scenes are built, kept and dropped.
 #include <algorithm>
-#include <limits>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "worker/session/job_conversion.h"
 #include "worker/session/session_machine.h"
 
 namespace tessera {
 
 using namespace session_effect;
-
-namespace {
-
-// Of the scene's files; saturates, for sizes come from outside.
-int64_t AssetBytes(const v1::JobSettings& settings) {
-  int64_t total = 0;
-  for (const v1::AssetRef& asset : settings.assets()) {
-    if (__builtin_add_overflow(total, asset.size_bytes(), &total)) {
-      return std::numeric_limits<int64_t>::max();
-    }
-  }
-  return total;
-}
-
-}  // namespace
 
 void SessionMachine::SettleLeases() {
   const std::deque<uint64_t> waiting = waiting_;
@@ -44,7 +29,7 @@ void SessionMachine::SettleLease(uint64_t id, HeldLease& held) {
   if (found == scenes_.end()) {
     if (!building_.empty()) return;
     // What the scene will need is not known yet, but that it is hardly less than its files.
-    const int64_t bytes_least = AssetBytes(jobs_[job].settings);
+    const int64_t bytes_least = AssetBytesOf(jobs_[job].settings);
     if (bytes_least <= options_.memory_bytes) MakeRoom(bytes_least);
     building_ = held.scene;
     build_cancelled_ = false;

@@ -45,5 +45,18 @@ TEST(TileGridTest, EmptyRegionHasNoTiles) {
   EXPECT_EQ(TileGrid().num_tiles(), 0);
 }
 
+TEST(SplitWindowsTest, EveryPixelIsInOneSmallPart) {
+  const PixelRect windows[] = {{3, -2, 40, 31}, {50, 0, 51, 7}, {60, 60, 60, 70}};
+  int64_t area = 0;
+  for (const PixelRect& part : SplitWindows(windows, 16)) {
+    EXPECT_LE(std::max(part.width(), part.height()), 16);
+    EXPECT_EQ(std::ranges::count_if(windows, [&](const auto& w) { return w.Contains(part); }), 1);
+    EXPECT_FALSE(part.empty());
+    area += part.area();
+  }
+  EXPECT_EQ(area, windows[0].area() + windows[1].area());
+  EXPECT_EQ(SplitWindows(windows, 16).size(), 3u * 3u + 1u);
+}
+
 }  // namespace
 }  // namespace tessera

@@ -130,30 +130,13 @@ TEST(RegressionFilter, ConvergesToTheRawMean) {
 
 TEST(RegressionFilter, KeepsTheEnergy) {
   // Stated bounds: 2 % where the noise is as large as the signal, 0.3 % where it is a tenth.
-  for (const auto& [noise, bound] : {std::pair{1.0f, 0.02}, {0.1f, 0.003}}) {
-    double truth = 0, filtered = 0;
-    for (uint32_t seed = 0; seed < 6; ++seed) {
-      const SyntheticFrame frame = MakeSyntheticFrame(kBounds, noise, 8, seed);
-      truth += Sum(frame.truth);
-      filtered += Sum(Filtered(frame).color);
-    }
-    EXPECT_NEAR(filtered / truth, 1, bound) << noise;
-  }
+  EXPECT_NEAR(EnergyKept(RegressionFilter(), kBounds, 1.0f), 1, 0.02);
+  EXPECT_NEAR(EnergyKept(RegressionFilter(), kBounds, 0.1f), 1, 0.003);
 }
 
 TEST(RegressionFilter, IntervalsHoldTheTruthMostly) {
-  int num_inside = 0, num_values = 0;
-  for (const float noise : {0.3f, 0.1f, 0.03f}) {
-    const SyntheticFrame frame = MakeSyntheticFrame(kBounds, noise, 16, 11);
-    const FilteredPlanes out = Filtered(frame);
-    for (size_t c = 0; c < 3; ++c) {
-      for (size_t i = 0; i < out.color[c].size(); ++i, ++num_values) {
-        num_inside += std::abs(out.color[c][i] - frame.truth[c][i]) <= out.error[c][i];
-      }
-    }
-  }
   // An estimate from few pixels: the docstring promises no 95 %.
-  EXPECT_GT(num_inside, 0.85 * num_values);
+  EXPECT_GT(IntervalCoverage(RegressionFilter(), kBounds), 0.85);
 }
 
 // What `render` prints as error: the sum over the frame against the true one, mean of 16 seeds. One

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <random>
 
+#include "core/denoise/denoise_frame.h"
 #include "core/denoise/denoiser.h"
 #include "core/statistics/calibration.h"
 
@@ -72,12 +73,39 @@ inline double RelativeError(const Planes3& color, const Planes3& truth) {
   return sum / (3.0 * static_cast<double>(color[0].size()));
 }
 
+// The sum over all channels.
 inline double Sum(const Planes3& color) {
   double sum = 0;
   for (const Plane& plane : color) {
     for (const float value : plane) sum += value;
   }
   return sum;
+}
+
+// Filtered over true energy of six frames of 8 samples.
+inline double EnergyKept(const Denoiser& denoiser, const PixelRect& bounds, float noise) {
+  double truth = 0, filtered = 0;
+  for (uint32_t seed = 0; seed < 6; ++seed) {
+    const SyntheticFrame frame = MakeSyntheticFrame(bounds, noise, 8, seed);
+    truth += Sum(frame.truth);
+    filtered += Sum(DenoiseFrame(denoiser, frame.planes, DenoiseQuality::kFinal, 2).color);
+  }
+  return filtered / truth;
+}
+
+// The share of values whose interval holds the truth, over three levels of noise.
+inline double IntervalCoverage(const Denoiser& denoiser, const PixelRect& bounds) {
+  int num_inside = 0, num_values = 0;
+  for (const float noise : {0.3f, 0.1f, 0.03f}) {
+    const SyntheticFrame frame = MakeSyntheticFrame(bounds, noise, 16, 11);
+    const FilteredPlanes out = DenoiseFrame(denoiser, frame.planes, DenoiseQuality::kFinal, 2);
+    for (size_t c = 0; c < 3; ++c) {
+      for (size_t i = 0; i < out.color[c].size(); ++i, ++num_values) {
+        num_inside += std::abs(out.color[c][i] - frame.truth[c][i]) <= out.error[c][i];
+      }
+    }
+  }
+  return static_cast<double>(num_inside) / num_values;
 }
 
 }  // namespace tessera

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "tests/worker/integrator/bsdf_furnace.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/sobol_sampler.h"
 #include "worker/integrator/specular_albedo.h"
@@ -17,12 +18,6 @@ namespace {
 
 using Imath::V2f;
 using Imath::V3f;
-
-V3f DirectionAt(float cosine, float turns) {
-  const SinCos<float> phi = SinCosTurns(turns);
-  const float sine = std::sqrt(1 - cosine * cosine);
-  return {sine * phi.cos, sine * phi.sin, cosine};
-}
 
 BsdfParameters White(float metallic, float roughness, float transmission, float ior = 1.5f) {
   BsdfParameters p;
@@ -61,29 +56,6 @@ std::string Describe(const BsdfParameters& p, float cosine) {
           : p.entering  ? " entering"
                         : " leaving") +
          " cos " + std::to_string(cosine);
-}
-
-// Albedo under uniform light by sampling, with its standard error over independent scrambles.
-struct Furnace {
-  double mean = 0;
-  double standard_error = 0;
-};
-Furnace MeasureFurnace(const Bsdf& bsdf, int points) {
-  constexpr int kRepeats = 8;
-  double sum = 0, sum2 = 0;
-  for (int repeat = 0; repeat < kRepeats; ++repeat) {
-    double albedo = 0;
-    for (int i = 0; i < points; ++i) {
-      const SobolSampler sampler(static_cast<uint64_t>(repeat), 0, 0, 2 * i);
-      BsdfSample s;
-      if (bsdf.Sample(sampler.Get2D(0).x, sampler.Get2D(1), &s)) albedo += s.weight.x;
-    }
-    albedo /= points;
-    sum += albedo;
-    sum2 += albedo * albedo;
-  }
-  const double mean = sum / kRepeats;
-  return {mean, std::sqrt(std::max(0.0, sum2 / kRepeats - mean * mean) / (kRepeats - 1))};
 }
 
 // All that is white returns all light, in every direction: within 0.5 % a bounce, and no more than

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "tests/worker/integrator/bsdf_furnace.h"
 #include "worker/integrator/bsdf.h"
 #include "worker/integrator/microfacet.h"
 #include "worker/integrator/sobol_sampler.h"
@@ -17,12 +18,6 @@ namespace {
 
 using Imath::V2f;
 using Imath::V3f;
-
-V3f DirectionAt(float cosine, float turns) {
-  const SinCos<float> phi = SinCosTurns(turns);
-  const float sine = std::sqrt(std::max(0.f, 1 - cosine * cosine));
-  return {sine * phi.cos, sine * phi.sin, cosine};
-}
 
 BsdfParameters Base(float reflectance, float metallic = 0, float roughness = 0.5f) {
   BsdfParameters p;
@@ -53,28 +48,6 @@ V3f IntegrateAlbedo(const Bsdf& bsdf) {
   const double cell = 4 * kPiDouble / (static_cast<double>(kRows) * kColumns);
   return {static_cast<float>(sum[0] * cell), static_cast<float>(sum[1] * cell),
           static_cast<float>(sum[2] * cell)};
-}
-
-struct Furnace {
-  double mean = 0;
-  double standard_error = 0;
-};
-Furnace MeasureFurnace(const Bsdf& bsdf, int points) {
-  constexpr int kRepeats = 8;
-  double sum = 0, sum2 = 0;
-  for (int repeat = 0; repeat < kRepeats; ++repeat) {
-    double albedo = 0;
-    for (int i = 0; i < points; ++i) {
-      const SobolSampler sampler(static_cast<uint64_t>(repeat), 0, 0, 2 * i);
-      BsdfSample s;
-      if (bsdf.Sample(sampler.Get2D(0).x, sampler.Get2D(1), &s)) albedo += s.weight.x;
-    }
-    albedo /= points;
-    sum += albedo;
-    sum2 += albedo * albedo;
-  }
-  const double mean = sum / kRepeats;
-  return {mean, std::sqrt(std::max(0.0, sum2 / kRepeats - mean * mean) / (kRepeats - 1))};
 }
 
 std::vector<BsdfParameters> LayeredKinds() {

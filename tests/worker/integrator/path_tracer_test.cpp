@@ -237,15 +237,7 @@ TEST(PathTracerTest, BeerLambertInsideASmoothSlab) {
   // Straight through a slab of index 1 (no reflection) of thickness 0.5: L = colour^(0.5 /
   // distance).
   auto scene = std::make_unique<Scene>();
-  Material glass;
-  glass.metallic = 0;
-  glass.roughness = 0;
-  glass.ior = 1;
-  glass.transmission = 1;
-  glass.thickness = 0.5f;
-  glass.attenuation_color = V3f(0.2f, 0.5f, 0.9f);
-  glass.attenuation_distance = 0.25f;
-  const int m = AddMaterial(glass, scene.get());
+  const int m = AddMaterial(AbsorbingGlass(V3f(0.2f, 0.5f, 0.9f)), scene.get());
   AddMesh(Quad(m, {-5, 0, -5}, {0, 0, 10}, {10, 0, 0}), scene.get());      // up
   AddMesh(Quad(m, {-5, -0.5f, -5}, {10, 0, 0}, {0, 0, 10}), scene.get());  // down
   scene->environment.emplace();

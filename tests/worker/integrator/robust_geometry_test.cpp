@@ -200,15 +200,7 @@ TEST(RobustGeometryTest, OverlappingGlassKeepsTheFurnace) {
 TEST(RobustGeometryTest, ThingsInsideAbsorbingGlassAreSeenThroughIt) {
   // A white unlit card 0.5 m inside a slab of index 1: colour^(0.5 m / distance).
   auto scene = std::make_unique<Scene>();
-  Material glass;
-  glass.metallic = 0;
-  glass.roughness = 0;
-  glass.ior = 1;
-  glass.transmission = 1;
-  glass.thickness = 1;
-  glass.attenuation_color = V3f(0.25f, 0.5f, 1);
-  glass.attenuation_distance = 0.25f;
-  const int m = AddMaterial(glass, scene.get());
+  const int m = AddMaterial(AbsorbingGlass(V3f(0.25f, 0.5f, 1)), scene.get());
   Material card;
   card.unlit = true;
   AddMesh(Quad(m, {-5, 0, -5}, {0, 0, 10}, {10, 0, 0}), scene.get());   // top

@@ -37,6 +37,18 @@ Material Emitter(const V3f& radiance) {
   return m;
 }
 
+Material AbsorbingGlass(const V3f& attenuation_color) {
+  Material glass;
+  glass.metallic = 0;
+  glass.roughness = 0;
+  glass.ior = 1;
+  glass.transmission = 1;
+  glass.thickness = 1;
+  glass.attenuation_color = attenuation_color;
+  glass.attenuation_distance = 0.25f;
+  return glass;
+}
+
 int AddMaterial(const Material& material, Scene* scene) {
   scene->materials.push_back(material);
   return static_cast<int>(scene->materials.size()) - 1;

@@ -15,6 +15,8 @@ namespace tessera::testing {
 // A pure Lambert material (ior 1: no coat).
 Material Lambert(const V3f& reflectance);
 Material Emitter(const V3f& radiance);
+// Glass without an interface (index 1) that absorbs: colour^(path / 0.25 m).
+Material AbsorbingGlass(const V3f& attenuation_color);
 
 // Adds a material and gives its index.
 int AddMaterial(const Material& material, Scene* scene);

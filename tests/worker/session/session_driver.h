@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <chrono>
+#include <initializer_list>
 #include <optional>
 #include <string>
 #include <utility>
@@ -93,6 +94,13 @@ class Driver {
     event.outcome.kind = kind;
     event.outcome.detail = "because";
     Step(event);
+  }
+  // Up to a built scene of jobs/1 that has these leases.
+  void ServeScene(std::initializer_list<uint64_t> leases) {
+    Serve();
+    Job("jobs/1", Settings());
+    for (const uint64_t id : leases) Lease(id);
+    Built(builds.at(0).scene);
   }
   void Rendered(uint64_t task) {
     v1::TileDelta delta;

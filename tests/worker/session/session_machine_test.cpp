@@ -25,11 +25,7 @@ TEST(SessionMachine, SaysHelloFirstAndWaitsForTheWelcome) {
 
 TEST(SessionMachine, SendsDeltasOneWriteAtATime) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  d.Lease(5);
-  d.Lease(6);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({5, 6});
   d.Flush();
   ASSERT_THAT(d.renders, SizeIs(2));
   d.Rendered(d.renders[0].task);
@@ -59,10 +55,7 @@ TEST(SessionMachine, BackPressureStopsRenderingWhileTheLinkIsStuck) {
 
 TEST(SessionMachine, HeartbeatsNameAllLeasesThatAreHeld) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  for (uint64_t id = 1; id <= 4; ++id) d.Lease(id);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({1, 2, 3, 4});
   d.Rendered(d.renders.at(0).task);
   d.Flush();
   ASSERT_TRUE(d.machine().NextTimer().has_value());
@@ -80,12 +73,7 @@ TEST(SessionMachine, HeartbeatsNameAllLeasesThatAreHeld) {
 
 TEST(SessionMachine, RevokedLeasesAreCancelledAndNotReported) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  d.Lease(1);
-  d.Lease(2);
-  d.Lease(3);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({1, 2, 3});
   d.Flush();
   d.sent.clear();
   for (const uint64_t id : {1u, 3u}) {  // rendering, waiting
@@ -132,10 +120,7 @@ TEST(SessionMachine, AFloodOfLeasesStaysBounded) {
 
 TEST(SessionMachine, ABrokenLinkDropsWorkKeepsScenesAndBacksOff) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  d.Lease(1);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({1});
   d.Flush();
   d.Step(session_event::StreamClosed{absl::UnavailableError("gone")});
   EXPECT_THAT(d.cancelled, SizeIs(1));
@@ -189,10 +174,7 @@ TEST(SessionMachine, AWrongVersionIsFinal) {
 
 TEST(SessionMachine, DrainFinishesWhatRunsReturnsTheRestAndLeaves) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  for (uint64_t id = 1; id <= 4; ++id) d.Lease(id);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({1, 2, 3, 4});
   d.Flush();
   d.sent.clear();
   ASSERT_THAT(d.renders, SizeIs(2));
@@ -236,10 +218,7 @@ TEST(SessionMachine, ASilentServerIsGivenUp) {
 
 TEST(SessionMachine, StopCancelsAtOnce) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  d.Lease(1);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({1});
   d.Step(session_event::StopRequested{});
   EXPECT_THAT(d.cancelled, SizeIs(1));
   EXPECT_EQ(d.aborted, 1);
@@ -248,14 +227,9 @@ TEST(SessionMachine, StopCancelsAtOnce) {
   EXPECT_THAT(d.machine().NextTimer(), testing::Eq(std::nullopt));
 }
 
-
 TEST(SessionMachine, AServerThatVanishesWhileADeltaIsWrittenCostsTheLeaseOnly) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  d.Lease(1);
-  d.Lease(2);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({1, 2});
   d.Flush();
   d.Rendered(d.renders.at(0).task);
   d.Rendered(d.renders.at(1).task);  // waits behind the first
@@ -282,10 +256,7 @@ TEST(SessionMachine, AServerThatVanishesWhileADeltaIsWrittenCostsTheLeaseOnly) {
 
 TEST(SessionMachine, DrainWithoutAServerThatListensEndsWithTheLink) {
   Driver d(1);
-  d.Serve();
-  d.Job("jobs/1", Settings());
-  d.Lease(1);
-  d.Built(d.builds.at(0).scene);
+  d.ServeScene({1});
   d.Flush();
   d.Rendered(d.renders.at(0).task);  // its write never ends
   d.Step(session_event::DrainRequested{});
