@@ -1,8 +1,10 @@
 #include "core/film/pixel_folder.h"
 
+#include <algorithm>
 #include <bit>
 
 #include "core/base/check.h"
+#include "core/denoise/float8.h"
 #include "core/film/fold.h"
 
 namespace tessera {
@@ -26,6 +28,7 @@ struct alignas(32) PixelNode {
   uint32_t later_hits[kNumHalves];
   uint32_t hits[kNumHalves];
   IdVote vote[kNumHalves];
+  bool blank;  // all features are zero, the id too
 };
 
 void SetRadiance(const PixelSample& sample, int half, PixelNode* node) {
@@ -45,38 +48,79 @@ void SetFeatures(const PixelSample& sample, int half, PixelNode* node) {
   node->vote[half] = {sample.material_id, 1};
 }
 
+bool IsBlank(const PixelNode& node) {
+  uint32_t any = node.vote[0].id | node.vote[1].id | node.hits[0] | node.hits[1];
+  for (int i = kFeatureLane; i < kNumLanes; ++i) any |= std::bit_cast<uint32_t>(node.mean[i]);
+  return any == 0;
+}
+
+Float8 RoundMsd(Float8 msd) {
+  constexpr uint32_t kDropped = 24 - kMsdBits;
+  constexpr uint32_t kHalfBelow = (uint32_t{1} << (kDropped - 1)) - 1;
+  using UInt8 = uint32_t __attribute__((vector_size(sizeof(Float8))));
+  auto bits = reinterpret_cast<UInt8>(msd);
+  bits += kHalfBelow + ((bits >> kDropped) & 1);
+  return reinterpret_cast<Float8>(bits & ~((uint32_t{1} << kDropped) - 1));
+}
+
+// FoldMoments of eight lanes from `lane` on.
+void FoldLanes(const PixelNode& left, const PixelNode& right, int lane, Float8 right_weight,
+               PixelNode* out) {
+  static_assert(kMeanBits == 24, "means are not rounded");
+  const Float8 left_weight = 1 - right_weight;
+  const Float8 left_mean = Load8(left.mean + lane);
+  const Float8 difference = Load8(right.mean + lane) - left_mean;
+  const Float8 msd =
+      (left_weight * Load8(left.msd + lane) + right_weight * Load8(right.msd + lane)) +
+      (left_weight * right_weight) * (difference * difference);
+  Store8(out->mean + lane, left_mean + difference * right_weight);
+  Store8(out->msd + lane, RoundMsd(msd));
+}
+
 // Joins the radiance of two nodes of at least two samples each: equal counts.
 void FoldRadiance(const PixelNode& left, const PixelNode& right, PixelNode* out) {
-  for (int i = 0; i < kFeatureLane; ++i) {
-    float mean, msd;
-    FoldMoments(left.mean[i], left.msd[i], right.mean[i], right.msd[i], 0.5f, &mean, &msd);
-    out->mean[i] = RoundMean(mean);
-    out->msd[i] = RoundMsd(msd);
-  }
+  FoldLanes(left, right, 0, Float8{} + 0.5f, out);
   for (int half = 0; half < kNumHalves; ++half) {
     out->later_hits[half] = left.later_hits[half] + right.later_hits[half];
   }
 }
 
-// Joins the features of two nodes whose samples all carry them: only hits differ.
+// Joins the features of two nodes whose samples all carry them: only hits differ. Of the sky there
+// is nothing to join but votes for no id.
 void FoldFeatures(const PixelNode& left, const PixelNode& right, PixelNode* out) {
+  const bool blank = left.blank && right.blank;
+  if (blank && out->blank) {
+    for (int half = 0; half < kNumHalves; ++half) {
+      out->vote[half].votes = left.vote[half].votes + right.vote[half].votes;
+    }
+    return;
+  }
   alignas(32) float right_weight[kNumLanes];
   for (float& weight : right_weight) weight = 0.5f;
   for (int half = 0; half < kNumHalves; ++half) {
     right_weight[FeatureLane(half) + kDepthFeature] =
         RightWeight(static_cast<int32_t>(left.hits[half]), static_cast<int32_t>(right.hits[half]));
   }
-  for (int i = kFeatureLane; i < kNumLanes; ++i) {
-    float mean, msd;
-    FoldMoments(left.mean[i], left.msd[i], right.mean[i], right.msd[i], right_weight[i], &mean,
-                &msd);
-    out->mean[i] = RoundMean(mean);
-    out->msd[i] = RoundMsd(msd);
+  for (int lane = kFeatureLane; lane < kNumLanes; lane += kFloat8Lanes) {
+    FoldLanes(left, right, lane, Load8(right_weight + lane), out);
   }
   for (int half = 0; half < kNumHalves; ++half) {
     out->hits[half] = left.hits[half] + right.hits[half];
     out->vote[half] = FoldVotes(left.vote[half], right.vote[half]);
   }
+  out->blank = blank;
+}
+
+void CopyFeatures(const PixelNode& from, PixelNode* to) {
+  for (int lane = kFeatureLane; lane < kNumLanes; lane += kFloat8Lanes) {
+    Store8(to->mean + lane, Load8(from.mean + lane));
+    Store8(to->msd + lane, Load8(from.msd + lane));
+  }
+  for (int half = 0; half < kNumHalves; ++half) {
+    to->hits[half] = from.hits[half];
+    to->vote[half] = from.vote[half];
+  }
+  to->blank = from.blank;
 }
 
 }  // namespace
@@ -85,10 +129,12 @@ struct PixelFolder::State {
   SampleRange range;
   int64_t feature_end = kAllFeatures;
   int64_t num_added = 0;
-  PixelNode pair = {};  // the newest two samples, one in each half
-  // nodes[k] waits for its sibling while bit k of the number of pairs is set; it spans 2^k pairs.
+  // nodes[k] waits for its sibling while bit k of the number of pairs is set; it spans 2^k pairs. A
+  // pair is two samples, one in each half, of no deviation: nodes[0], or `pair` while that waits.
   // The features of nodes that begin at or after feature_end are not read.
   PixelNode nodes[kNumLevels] = {};
+  PixelNode pair = {};
+  PixelNode joined = {};  // on its way up
 };
 
 PixelFolder::PixelFolder() : state_(std::make_unique<State>()) {}
@@ -99,34 +145,42 @@ void PixelFolder::Begin(SampleRange range, int64_t feature_end) {
   state_->range = range;
   state_->feature_end = feature_end;
   state_->num_added = 0;
-  state_->pair = PixelNode{};
+  for (PixelNode* node : {&state_->nodes[0], &state_->pair}) *node = PixelNode{};
 }
 
 void PixelFolder::Add(const PixelSample& sample) {
   State& s = *state_;
+  const uint64_t num_pairs = static_cast<uint64_t>(s.num_added) / 2;
   const int64_t index = s.range.begin + s.num_added++;
   const int half = static_cast<int>(index & 1);
-  SetRadiance(sample, half, &s.pair);
-  if (index < s.feature_end) {
-    SetFeatures(sample, half, &s.pair);
+  PixelNode* pair = (num_pairs & 1) == 0 ? &s.nodes[0] : &s.pair;
+  SetRadiance(sample, half, pair);
+  const bool has_features = index < s.feature_end;
+  if (has_features) {
+    SetFeatures(sample, half, pair);
   } else {
-    s.pair.later_hits[half] = sample.depth > 0 ? 1 : 0;
+    pair->later_hits[half] = sample.depth > 0 ? 1 : 0;
   }
   if (half == 0) return;
 
   // The two samples fill the two halves of one node; join it with the siblings that wait for it.
-  const PixelNode* newest = &s.pair;
-  const uint64_t num_pairs = static_cast<uint64_t>(s.num_added - 1) / 2;
+  if (has_features) pair->blank = IsBlank(*pair);
+  const PixelNode* newest = pair;
   const int num_siblings = std::countr_one(num_pairs);
   int64_t newest_begin = index - 1;
   for (int level = 0; level < num_siblings; ++level) {
-    FoldRadiance(s.nodes[level], *newest, &s.nodes[level]);
-    // Later samples leave the features of what lies left of them as they are.
-    if (newest_begin < s.feature_end) FoldFeatures(s.nodes[level], *newest, &s.nodes[level]);
-    newest = &s.nodes[level];
-    newest_begin -= int64_t{2} << level;
+    PixelNode* joined = level + 1 == num_siblings ? &s.nodes[num_siblings] : &s.joined;
+    FoldRadiance(s.nodes[level], *newest, joined);
+    const int64_t left_begin = newest_begin - (int64_t{2} << level);
+    if (newest_begin < s.feature_end) {
+      FoldFeatures(s.nodes[level], *newest, joined);
+    } else if (left_begin < s.feature_end) {
+      // Later samples leave the features of what lies left of them as they are.
+      CopyFeatures(s.nodes[level], joined);
+    }
+    newest = joined;
+    newest_begin = left_begin;
   }
-  s.nodes[num_siblings] = *newest;
 }
 
 void PixelFolder::Store(int x, int y, TileStatistics* tile) const {
@@ -135,7 +189,7 @@ void PixelFolder::Store(int x, int y, TileStatistics* tile) const {
   TESSERA_CHECK(tile->feature_end() == s.feature_end);
   TESSERA_CHECK(tile->window().Contains(x, y));
   const PixelNode& node =
-      s.num_added == 1 ? s.pair : s.nodes[std::countr_zero(static_cast<uint64_t>(s.num_added)) - 1];
+      s.nodes[std::max(0, std::countr_zero(static_cast<uint64_t>(s.num_added)) - 1)];
   const size_t pixel = static_cast<size_t>(tile->window().IndexOf(x, y));
   for (int half = 0; half < kNumHalves; ++half) {
     const auto store = [&](int lane, int mean_plane, int msd_plane) {

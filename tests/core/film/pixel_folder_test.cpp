@@ -2,6 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <utility>
+#include <vector>
+
 #include "tests/core/film/sample_streams.h"
 
 namespace tessera {
@@ -37,6 +40,45 @@ TEST(PixelFolderTest, AFolderForgetsItsLastPixel) {
     used.Store(0, 0, &from_used);
     once.Store(0, 0, &from_fresh);
     EXPECT_EQ(from_used, from_fresh) << range.begin;
+  }
+}
+
+// Long runs of sky are folded by a shorter way; joined one by one they have the same bits.
+TEST(PixelFolderTest, SkyFoldsLikeAnythingElse) {
+  PixelFolder folder;
+  for (uint64_t seed = 0; seed < 40; ++seed) {
+    for (int64_t feature_end : {kAllFeatures, int64_t{8}}) {
+      const auto sample_of = [&](int64_t i) {
+        PixelSample sample = SampleOf(seed, 0, 0, i);
+        // Runs of 4 with and without features.
+        if (HashOf(seed + static_cast<uint64_t>(i / 4) * 77) % 4 != 0) {
+          const PixelSample all = sample;
+          sample = PixelSample{};
+          for (int c = 0; c < 3; ++c) sample.radiance[c] = all.radiance[c];
+        }
+        return sample;
+      };
+      TileStatistics whole(kPixel, {0, 64}, feature_end);
+      folder.Begin(whole.range(), feature_end);
+      for (int64_t i = 0; i < 64; ++i) folder.Add(sample_of(i));
+      folder.Store(0, 0, &whole);
+      std::vector<TileStatistics> parts;
+      for (int64_t i = 0; i < 64; ++i) {
+        TileStatistics part(kPixel, {i, i + 1}, feature_end);
+        PixelFolder one;
+        one.Begin(part.range(), feature_end);
+        one.Add(sample_of(i));
+        one.Store(0, 0, &part);
+        parts.push_back(std::move(part));
+        for (int64_t n = i + 1; n % 2 == 0; n /= 2) {
+          TileStatistics right = std::move(parts.back());
+          parts.pop_back();
+          parts.back().Merge(right);
+        }
+      }
+      ASSERT_EQ(parts.size(), 1u);
+      EXPECT_EQ(whole, parts[0]) << seed;
+    }
   }
 }
 
