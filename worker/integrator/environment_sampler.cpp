@@ -25,17 +25,6 @@ constexpr SkyVisibility kAllSeen = AllSeen();
 
 float FinitePositive(float x) { return x > 0 && x < 3e38f ? x : 0.f; }
 
-// Eight numbers at once, in as many registers as the machine needs; the same bits in any.
-using Float8 = float __attribute__((vector_size(32)));
-using Int8 = int32_t __attribute__((vector_size(32)));
-using UInt8 = uint32_t __attribute__((vector_size(32)));
-
-inline Float8 Load8(const float* from) {
-  Float8 v;
-  std::memcpy(&v, from, sizeof(v));
-  return v;
-}
-
 inline Float8 Load8(const uint8_t* from) {
   // By shifts of 32-bit numbers: the compiler converts bytes to floats one by one.
   uint32_t words[2];
@@ -86,6 +75,7 @@ EnvironmentSampler::EnvironmentSampler(EnvironmentLight* mutable_light)
   for (V3f& t : mutable_light->texels) {
     t = {FinitePositive(t.x), FinitePositive(t.y), FinitePositive(t.z)};
   }
+  texels_.emplace(mutable_light);
   const SinCos<double> rotate = SinCosTurns<double>(light.rotate_radians / (2 * kPiDouble));
   rotate_sin_ = static_cast<float>(rotate.sin);
   rotate_cos_ = static_cast<float>(rotate.cos);
@@ -96,7 +86,8 @@ EnvironmentSampler::EnvironmentSampler(EnvironmentLight* mutable_light)
   // A texel's weight is the mean over it of the bilinear luminance: (1, 6, 1) / 8 along each axis.
   std::vector<float> luminance(static_cast<size_t>(width) * height), weights(luminance.size());
   for (int y = 0; y < height; ++y) {
-    for (int x = 0; x < width; ++x) luminance[size_t(y) * width + x] = Luminance(Texel(x, y));
+    for (int x = 0; x < width; ++x)
+      luminance[size_t(y) * width + x] = Luminance(light.texels[size_t(y) * width + x]);
   }
   const auto smooth_row = [&](int y, int x) {
     const float* row = &luminance[size_t(std::clamp(y, 0, height - 1)) * width];
@@ -180,7 +171,8 @@ void EnvironmentSampler::MakeMapCells(const std::vector<float>& weights) {
 int64_t EnvironmentSampler::memory_bytes() const {
   return static_cast<int64_t>(sizeof(float) *
                                   (row_sums_.size() + column_sums_.size() + row_cosines_.size()) +
-                              row_of_texel_.size() + column_of_texel_.size());
+                              row_of_texel_.size() + column_of_texel_.size()) +
+         (texels_ ? texels_->memory_bytes() : 0);
 }
 
 std::span<const float> EnvironmentSampler::ColumnSums(int row, int c) const {
@@ -211,20 +203,17 @@ V3f EnvironmentSampler::DirectionOf(float cosine, float turns) const {
 }
 
 V3f EnvironmentSampler::Radiance(const V3f& direction) const {
-  return uniform_ ? light_.uniform : RadianceAt(UvOfDirection(direction));
+  return uniform_ ? light_.uniform : texels_->At(UvOfDirection(direction));
 }
 
-V3f EnvironmentSampler::RadianceAt(const V2f& uv) const {
-  const float x = uv.x * light_.width - 0.5f, y = uv.y * light_.height - 0.5f;
-  const float left = std::floor(x), top = std::floor(y);
-  const float fx = x - left, fy = y - top;
-  const int x0 = left < 0 ? light_.width - 1 : static_cast<int>(left);
-  const int x1 = x0 + 1 == light_.width ? 0 : x0 + 1;
-  const int y0 = std::max(static_cast<int>(top), 0);
-  const int y1 = std::min(static_cast<int>(top) + 1, light_.height - 1);
-  const V3f upper = Texel(x0, y0) * (1 - fx) + Texel(x1, y0) * fx;
-  const V3f lower = Texel(x0, y1) * (1 - fx) + Texel(x1, y1) * fx;
-  return upper * (1 - fy) + lower * fy;
+Vec8 EnvironmentSampler::Radiance(const Vec8& d) const {
+  if (uniform_) {
+    return {Spread8(light_.uniform.x), Spread8(light_.uniform.y), Spread8(light_.uniform.z)};
+  }
+  const Float8 x = rotate_cos_ * d.x - rotate_sin_ * d.z;
+  const Float8 z = rotate_sin_ * d.x + rotate_cos_ * d.z;
+  return texels_->At(Clamp01(ArcTan2(z, x) * (1 / kTwoPiFloat) + 0.5f),
+                     Clamp01(ArcCos(d.y) * kInvPiFloat));
 }
 
 void EnvironmentSampler::Look(const V3f& normal, bool transmits, const SkyVisibility* visibility,
@@ -287,7 +276,7 @@ DirectionSample EnvironmentSampler::SampleCell(int cell, const V2f& u) const {
   const float cosine = row_cosines_[y] + (row_cosines_[y + 1] - row_cosines_[y]) * uy;
   const float u_map = (static_cast<float>(x) + ux) / light_.width;
   return {DirectionOf(cosine, u_map - 0.5f), TexelDensity(cell, x, y),
-          RadianceAt({u_map, Clamp01(ArcCos(cosine) * kInvPiFloat)})};
+          texels_->At({u_map, Clamp01(ArcCos(cosine) * kInvPiFloat)})};
 }
 
 float EnvironmentSampler::TexelDensity(int cell, int x, int y) const {
@@ -326,7 +315,7 @@ V3f EnvironmentSampler::RadianceAndPdf(const SkyView& view, const V3f& direction
   }
   const V2f uv = UvOfDirection(direction);
   *pdf = view.total > 0 ? PdfAt(view, direction, uv) : 0;
-  return uniform_ ? light_.uniform : RadianceAt(uv);
+  return uniform_ ? light_.uniform : texels_->At(uv);
 }
 
 float EnvironmentSampler::PdfAt(const SkyView& view, const V3f& direction, const V2f& uv) const {

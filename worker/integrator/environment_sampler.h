@@ -9,9 +9,12 @@
 
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
+#include "worker/integrator/float8_math.h"
+#include "worker/integrator/sky_texels.h"
 #include "worker/scene/scene.h"
 
 namespace tessera {
@@ -50,6 +53,8 @@ class EnvironmentSampler {
   explicit EnvironmentSampler(EnvironmentLight* light);
 
   V3f Radiance(const V3f& direction) const;
+  // Of eight unit directions.
+  Vec8 Radiance(const Vec8& directions) const;
   // Whether there is anything but black.
   bool emits() const { return irradiance_ > 0; }
   // Integral of the luminance over the sphere, W/m^2; of a map to about one part in its height.
@@ -76,11 +81,7 @@ class EnvironmentSampler {
   // Position in the map: u to the right and v down, both [0, 1].
   V2f UvOfDirection(const V3f& d) const;
   V3f DirectionOf(float cosine, float turns) const;
-  V3f RadianceAt(const V2f& uv) const;
   float PdfAt(const SkyView& view, const V3f& direction, const V2f& uv) const;
-  const V3f& Texel(int x, int y) const {
-    return light_.texels[static_cast<size_t>(y) * light_.width + x];
-  }
   // The light's running sums over the texels of a row that are a cell's, and over a cell's rows.
   std::span<const float> ColumnSums(int row, int cell_column) const;
   std::span<const float> RowSums(int cell) const;
@@ -88,6 +89,7 @@ class EnvironmentSampler {
 
   const EnvironmentLight& light_;
   bool uniform_;
+  std::optional<SkyTexels> texels_;  // of a map
   float rotate_sin_ = 0, rotate_cos_ = 1;
   double irradiance_ = 0;
   // By cell. Light: W/m^2 of luminance. The mean direction of its light, by coordinate for SIMD.
