@@ -62,4 +62,11 @@ CameraRay CameraRays::At(float x, float y, const V2f& lens) const {
   return ray;
 }
 
+Vec8 CameraRays::PinholeDirections(Float8 x, Float8 y) const {
+  const Float8 px = (x - half_width_px_) * scale_, py = (half_height_px_ - y) * scale_;
+  return Unit8({forward_.x + (right_.x * px + up_.x * py),
+                forward_.y + (right_.y * px + up_.y * py),
+                forward_.z + (right_.z * px + up_.z * py)});
+}
+
 }  // namespace tessera

@@ -4,6 +4,7 @@
 
 #include <Imath/ImathVec.h>
 
+#include "worker/integrator/float8_math.h"
 #include "worker/scene/scene.h"
 
 namespace tessera {
@@ -31,6 +32,11 @@ class CameraRays {
   PixelCone pixel_cone() const {
     return orthographic_ ? PixelCone{scale_, 0} : PixelCone{0, scale_};
   }
+  // One position; a direction for each place in the picture.
+  bool is_pinhole() const { return !orthographic_ && !has_lens(); }
+  const V3f& position() const { return position_; }
+  // Of a pinhole: At's directions of eight places at once, with the same bits.
+  Vec8 PinholeDirections(Float8 x, Float8 y) const;
   bool has_lens() const { return lens_radius_ > 0; }
 
  private:

@@ -107,7 +107,7 @@ class TileFolder {
 };
 
 // Paths that wait until they are enough to be walked at once. The samples of a pixel are a power of
-// two, as is kPathsMax: the queue holds some of one pixel's or all of several pixels'.
+// two, as is kSamplesMax: the queue holds some of one pixel's or all of several pixels'.
 class PathQueue {
  public:
   PathQueue(const PathWalker& walker, uint64_t seed, TileStatistics* tile)
@@ -127,7 +127,7 @@ class PathQueue {
     SequenceSeeds* seeds = &seeds_[pixel_][sample & 1];
     requests_[num_paths_++] = {SobolSampler(seeds->key(), sample), seeds, x_, y_,
                                sample < feature_end_};
-    if (num_paths_ == PathWalker::kPathsMax) Flush();
+    if (num_paths_ == PathWalker::kSamplesMax) Flush();
   }
 
   void Flush() {
@@ -147,9 +147,9 @@ class PathQueue {
   int x_ = 0, y_ = 0, pixel_ = 0;
   int num_paths_ = 0;
   int64_t rays_ = 0;
-  std::array<PathRequest, PathWalker::kPathsMax> requests_;
-  std::array<PixelSample, PathWalker::kPathsMax> samples_;
-  std::array<std::array<SequenceSeeds, kNumHalves>, PathWalker::kPathsMax> seeds_;
+  std::array<PathRequest, PathWalker::kSamplesMax> requests_;
+  std::array<PixelSample, PathWalker::kSamplesMax> samples_;
+  std::array<std::array<SequenceSeeds, kNumHalves>, PathWalker::kSamplesMax> seeds_;
 };
 
 }  // namespace

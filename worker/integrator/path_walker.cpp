@@ -17,9 +17,7 @@ namespace {
 
 // Dimension groups of a sample: two numbers each.
 enum : uint32_t {
-  kPixelGroup = 0,
-  kLensGroup = 1,
-  kFirstBounceGroup = 2,
+  kFirstBounceGroup = FirstHits::kGroups,
   // Of each bounce:
   kLightPoint = 0,
   kChoice = 1,  // the light; the BSDF's lobe
@@ -65,7 +63,7 @@ struct PathWalker::PathState {
   const PathRequest* request;
   Ray ray;  // unit direction
   RayHit hit;
-  V3f medium = V3f(0, 0, 0);   // absorption where the ray is, 1/m, as the last boundary says
+  V3f medium = V3f(0, 0, 0);  // absorption where the ray is, 1/m, as the last boundary says
   bool seeks_features;  // features are asked for, and only mirrors and clear glass were met so far
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);
@@ -102,7 +100,7 @@ struct PathWalker::Batch {
   };
 
   std::array<PathState, kPathsMax> paths;
-  std::span<PixelSample> samples;
+  std::array<PixelSample*, kPathsMax> samples;
   List walking;  // have a ray to trace
   List met;      // met a surface that scatters
   List lit;      // have a shadow ray to trace
@@ -110,7 +108,9 @@ struct PathWalker::Batch {
 };
 
 PathWalker::PathWalker(const Parts& parts)
-    : parts_(parts), max_depth_(std::min(parts.max_depth, kDepthLimit)) {}
+    : parts_(parts),
+      first_hits_(parts.camera, parts.embree, parts.environment),
+      max_depth_(std::min(parts.max_depth, kDepthLimit)) {}
 
 int PathWalker::NumLightSamples(int depth) const {
   return depth == 0 && parts_.lights.has_extended_lights() ? kFirstLightSamples : 1;
@@ -125,16 +125,12 @@ float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) 
   return 1 / (1 + ratio * ratio);
 }
 
-void PathWalker::Start(const PathRequest& request, PathState* path) const {
+void PathWalker::Start(const PathRequest& request, const CameraHit& hit, PathState* path) const {
   path->request = &request;
   path->seeks_features = request.with_features;
   path->hash_key = request.sampler.HashKey();
-  const SobolSampler::Points numbers = request.sampler.Get4x2D(kPixelGroup, request.seeds);
-  const V2f in_pixel = numbers[kPixelGroup];
-  const V2f lens = parts_.camera.has_lens() ? numbers[kLensGroup] : V2f(0.5f, 0.5f);
-  const CameraRay ray = parts_.camera.At(static_cast<float>(request.x) + in_pixel.x,
-                                         static_cast<float>(request.y) + in_pixel.y, lens);
-  path->ray = {ray.origin, ray.direction, kInfinity};
+  path->ray = hit.ray;
+  path->hit = hit.hit;
   const CameraRays::PixelCone cone = parts_.camera.pixel_cone();
   path->cone_width = cone.width;
   path->cone_spread = cone.spread;
@@ -153,22 +149,18 @@ void PathWalker::Intersect(Batch* batch) const {
   }
   for (int i : escaped) {
     AddEscaped(&batch->paths[i]);
-    StoreSkyFeatures(batch->paths[i], &batch->samples[i]);
+    StoreSkyFeatures(batch->paths[i], batch->samples[i]);
   }
 }
 
 // Mirrors that show the sky: white, tinted by them; the normal stays the last mirror's.
 void PathWalker::StoreSkyFeatures(const PathState& path, PixelSample* sample) const {
-  if (!path.seeks_features || path.depth == 0) return;
+  if (!path.seeks_features) return;
   for (int c = 0; c < 3; ++c) sample->albedo[c] = Clamp01(path.throughput[c]);
 }
 
 void PathWalker::AddEscaped(PathState* path) const {
   if (parts_.environment == nullptr) return;
-  if (path->depth == 0) {
-    path->radiance += path->throughput * parts_.environment->Radiance(path->ray.direction);
-    return;
-  }
   float light_pdf;
   const V3f radiance = parts_.lights.Escaped(path->view, path->ray.direction, &light_pdf);
   light_pdf *= static_cast<float>(NumLightSamples(path->depth - 1));
@@ -188,13 +180,13 @@ void PathWalker::Read(Batch* batch) const {
   }
   Batch::List scattering;
   for (int i : batch->met) {
-    if (Arrive(&batch->paths[i], &batch->samples[i])) scattering.Add(i);
+    if (Arrive(&batch->paths[i], batch->samples[i])) scattering.Add(i);
   }
   batch->met = scattering;
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
     if (path.seeks_features) {
-      StoreFeatures(path, path.bsdf->Albedo(), &batch->samples[i]);
+      StoreFeatures(path, path.bsdf->Albedo(), batch->samples[i]);
       path.seeks_features = path.bsdf->IsMirror();
     }
     path.numbers = path.request->sampler.Get4x2D(
@@ -376,25 +368,36 @@ bool PathWalker::Continue(const BsdfSample& scattered, PathState* path) const {
   return true;
 }
 
-void PathWalker::Trace(std::span<const PathRequest> requests, std::span<PixelSample> samples,
-                       int64_t* rays) const {
-  TESSERA_CHECK(requests.size() <= kPathsMax && samples.size() == requests.size());
+void PathWalker::Walk(std::span<const PathRequest> requests, std::span<const CameraHit> hits,
+                      std::span<PixelSample> samples, int64_t* rays) const {
   Batch batch;
-  batch.samples = samples;
-  for (int i = 0; i < static_cast<int>(requests.size()); ++i) {
-    samples[i] = PixelSample{};
-    Start(requests[i], &batch.paths[i]);
-    batch.walking.Add(i);
+  for (int i = 0; i < static_cast<int>(hits.size()); ++i) {
+    Start(requests[hits[i].request], hits[i], &batch.paths[i]);
+    batch.samples[i] = &samples[hits[i].request];
+    batch.met.Add(i);
   }
-  for (int depth = 0; batch.walking.size() > 0; ++depth) {
-    Intersect(&batch);
+  for (int depth = 0; batch.met.size() > 0; ++depth) {
     Read(&batch);
     Illuminate(depth, &batch);
     Scatter(&batch);
     CastShadows(&batch);
+    Intersect(&batch);
   }
-  for (size_t i = 0; i < samples.size(); ++i) Store(batch.paths[i].radiance, samples[i].radiance);
+  for (size_t i = 0; i < hits.size(); ++i) {
+    Store(batch.paths[i].radiance, batch.samples[i]->radiance);
+  }
   *rays += batch.rays;
+}
+
+void PathWalker::Trace(std::span<const PathRequest> requests, std::span<PixelSample> samples,
+                       int64_t* rays) const {
+  std::array<CameraHit, kSamplesMax> hits;
+  const auto num_hits = static_cast<size_t>(first_hits_.Trace(requests, samples, &hits));
+  *rays += static_cast<int64_t>(requests.size());
+  for (size_t begin = 0; begin < num_hits; begin += kPathsMax) {
+    const size_t count = std::min<size_t>(kPathsMax, num_hits - begin);
+    Walk(requests, {&hits[begin], count}, samples, rays);
+  }
 }
 
 PixelSample PathWalker::Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const {

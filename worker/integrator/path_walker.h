@@ -8,6 +8,7 @@
 #include "core/film/pixel_sample.h"
 #include "worker/integrator/camera_rays.h"
 #include "worker/integrator/embree_scene.h"
+#include "worker/integrator/first_hits.h"
 #include "worker/integrator/light_sampler.h"
 #include "worker/integrator/onb.h"
 #include "worker/integrator/sobol_sampler.h"
@@ -18,18 +19,9 @@ namespace tessera {
 // Which of the two strategies may find a light. Both, weighted, unless a test compares them.
 enum class LightStrategy { kBoth, kBsdfOnly, kLightsOnly };
 
-// One sample to take: `sampler`'s, in pixel (x, y) of the frame. `seeds` are of its sequence;
-// others of the same sequence may share them. Without features, of these only depth is filled.
-struct PathRequest {
-  SobolSampler sampler = SobolSampler(0, 0);
-  SequenceSeeds* seeds = nullptr;
-  int x = 0, y = 0;
-  bool with_features = true;
-};
-
 class PathWalker {
  public:
-  static constexpr int kPathsMax = 16;  // at once; a power of two
+  static constexpr int kSamplesMax = FirstHits::kRaysMax;  // at once; a power of two
 
   struct Parts {
     const SurfaceReader& surfaces;
@@ -42,7 +34,7 @@ class PathWalker {
   };
   explicit PathWalker(const Parts& parts);
 
-  // The samples that `requests` ask for (box filter), at most kPathsMax, into `samples` in their
+  // The samples that `requests` ask for (box filter), at most kSamplesMax, into `samples` in their
   // order. Paths advance together, bounce by bounce, which hides the latency of memory; company
   // moves no bit of a sample. Adds Embree queries to *rays. Threads: const, any number at once.
   void Trace(std::span<const PathRequest> requests, std::span<PixelSample> samples,
@@ -51,10 +43,13 @@ class PathWalker {
   PixelSample Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const;
 
  private:
+  static constexpr int kPathsMax = 16;  // that walk together
   struct PathState;
   struct Batch;
   // The steps of a bounce, each for all paths that walk, so that their latencies overlap.
-  void Start(const PathRequest& request, PathState* path) const;
+  void Walk(std::span<const PathRequest> requests, std::span<const CameraHit> hits,
+            std::span<PixelSample> samples, int64_t* rays) const;
+  void Start(const PathRequest& request, const CameraHit& hit, PathState* path) const;
   void Intersect(Batch* batch) const;
   void Read(Batch* batch) const;
   void Illuminate(int depth, Batch* batch) const;
@@ -73,6 +68,7 @@ class PathWalker {
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;
 
   Parts parts_;
+  FirstHits first_hits_;
   int max_depth_;  // the request's, limited
 };
 

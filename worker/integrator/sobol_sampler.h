@@ -87,6 +87,11 @@ class SequenceSeeds {
     for (; known_ < end; ++known_) Make(known_, known_);
     return size_t{2} * first_group;
   }
+  // Where the seeds of one of the first groups start.
+  size_t LaneOf(uint32_t group) {
+    for (; known_ <= group; ++known_) Make(known_, known_);
+    return size_t{2} * group;
+  }
   const uint32_t* index(size_t lane) const { return &index_[lane]; }
   const uint32_t* value(size_t lane) const { return &value_[lane]; }
 
@@ -135,6 +140,38 @@ class SobolSampler {
     return {UnitFloat(ReverseBits(u)), UnitFloat(ReverseBits(v))};
   }
 
+  // The numbers of one group for eight samples at once; each lane gives what Get2D gives.
+  class Lanes {
+   public:
+    static constexpr size_t kLanes = 8;
+    // `seeds` are those of the sampler's sequence; `group` one of the first.
+    void Set(size_t lane, const SobolSampler& sampler, uint32_t group, SequenceSeeds* seeds) {
+      const size_t at = seeds->LaneOf(group);
+      samples_[lane] = sampler.index_reversed_;
+      index_seeds_[lane] = seeds->index(at)[0];
+      first_seeds_[lane] = seeds->value(at)[0];
+      second_seeds_[lane] = seeds->value(at)[1];
+    }
+    void Get2D(float (&u)[kLanes], float (&v)[kLanes]) const {
+      alignas(32) int32_t bits[2][kLanes];
+      for (size_t i = 0; i < kLanes; ++i) {
+        const uint32_t index = ReverseBits(ScrambleReversed(samples_[i], index_seeds_[i]));
+        bits[0][i] =
+            static_cast<int32_t>(ReverseBits(ScrambleReversed(index, first_seeds_[i])) >> 8);
+        bits[1][i] = static_cast<int32_t>(
+            ReverseBits(ScrambleReversed(SobolDimension1Reversed(index), second_seeds_[i])) >> 8);
+      }
+      for (size_t i = 0; i < kLanes; ++i) {
+        u[i] = static_cast<float>(bits[0][i]) * 0x1p-24f;
+        v[i] = static_cast<float>(bits[1][i]) * 0x1p-24f;
+      }
+    }
+
+   private:
+    alignas(32) uint32_t samples_[kLanes], index_seeds_[kLanes];
+    alignas(32) uint32_t first_seeds_[kLanes], second_seeds_[kLanes];
+  };
+
   using Points = std::array<Imath::V2f, SequenceSeeds::kGroupsAtOnce>;
   // Get2D of the groups from `first_group` on, at once; `seeds` are those of this sequence. All
   // lanes do the same: the compiler makes vector code of the loops.
@@ -149,8 +186,7 @@ class SobolSampler {
     for (int i = 0; i < kLanes; ++i) {
       const uint32_t index = ReverseBits(ScrambleReversed(index_reversed_, index_seeds[i]));
       const uint32_t other = SobolDimension1Reversed(index) & kSecond[i];
-      bits[i] =
-          ReverseBits(ScrambleReversed((index & ~kSecond[i]) | other, value_seeds[i])) >> 8;
+      bits[i] = ReverseBits(ScrambleReversed((index & ~kSecond[i]) | other, value_seeds[i])) >> 8;
     }
     // Signed, as the conversion that AVX2 has; 24 bits fit.
     for (int i = 0; i < kLanes; ++i) {
