@@ -189,10 +189,14 @@ class CommandTable {
     CLI::App* denoise = Add("denoise", "Filter a film again, or two halves of any renderer",
                             [this] { return RunDenoise(denoise_); });
     denoise->add_option("film", denoise_.inputs, "FILM.exr, or HALF_A.exr HALF_B.exr")
-        ->required()
         ->expected(1, 2);
     denoise->add_option("--denoiser", denoise_.denoiser, DenoiserHelp());
     denoise->add_option("--quality", denoise_.quality, "preview or final (final)");
+    denoise
+        ->add_option("--denoiser-option", denoise_.options,
+                     "NAME=VALUE: sets a number of the filter; may be repeated")
+        ->allow_extra_args(false);
+    denoise->add_flag("--list", denoise_.list, "Print the filters and what can be set, and end");
     denoise->add_flag("--json", denoise_.json, "The outputs as one JSON object on stdout");
     AddOutputFlags(denoise, &denoise_.output);
 
@@ -209,6 +213,11 @@ class CommandTable {
     CLI::App* info = Add("info", "What a scene needs", [this] { return RunInfo(info_, parts_); });
     info->add_option("scene", info_.scene, "SCENE.glb or SCENE.gltf")->required();
     info->add_flag("--json", info_.json, "One JSON object on stdout");
+
+    CLI::App* chart = Add("chart", "Chart speed against accuracy of every filter on your scenes",
+                          [this] { return RunChart(chart_arguments_); });
+    chart->add_option("arguments", chart_arguments_, "See 'tessera chart --help'")
+        ->allow_extra_args();
 
     Add("completion", "Print the completion script for bash: source <(tessera completion)",
         [this] { return PrintCompletion(); });
@@ -243,6 +252,7 @@ class CommandTable {
   FetchFlags fetch_;
   DenoiseFlags denoise_;
   CompareFlags compare_;
+  std::vector<std::string> chart_arguments_;
   InfoFlags info_;
   std::function<absl::Status()> chosen_;
 };
@@ -259,6 +269,12 @@ void PrintError(const std::string& message) {
 }  // namespace
 
 int RunCommandLine(int argc, const char* const* argv, const CommandLineParts& parts) {
+  if (argc > 1 && std::string_view(argv[1]) == "chart") {
+    // Its flags are its own program's.
+    const absl::Status status = RunChart({argv + 2, argv + argc});
+    PrintError(std::string(status.message()));
+    return ExitCodeOf(status);
+  }
   CommandTable table(parts);
   try {
     table.app().parse(argc, argv);

@@ -2,6 +2,9 @@
 // becomes the exit code (exit_code.h).
 #pragma once
 
+#include <string>
+#include <vector>
+
 #include "absl/status/status.h"
 #include "client/cli/command_line.h"
 #include "client/cli/flags.h"
@@ -20,6 +23,8 @@ absl::Status RunCancel(const JobFlags& flags);
 absl::Status RunDelete(const JobFlags& flags);
 absl::Status RunWorkers(const JobFlags& flags);
 absl::Status RunDenoise(const DenoiseFlags& flags);
+// Becomes the program tessera-chart; returns only if that cannot be started.
+absl::Status RunChart(const std::vector<std::string>& arguments);
 absl::Status RunCompare(const CompareFlags& flags);
 absl::Status RunInfo(const InfoFlags& flags, const CommandLineParts& parts);
 

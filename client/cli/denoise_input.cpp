@@ -8,7 +8,6 @@
 #include "client/cli/film_settings.h"
 #include "core/film/film.h"
 #include "core/image/image_reader.h"
-#include "core/statistics/calibration.h"
 
 namespace tessera {
 namespace {
@@ -119,10 +118,7 @@ absl::StatusOr<DenoiseInput> ReadHalves(const std::vector<std::string>& paths) {
 }  // namespace
 
 absl::StatusOr<DenoiseInput> ReadDenoiseInput(const std::vector<std::string>& paths) {
-  absl::StatusOr<DenoiseInput> input =
-      paths.size() == 1 ? ReadFilm(paths.front()) : ReadHalves(paths);
-  if (input.ok()) CalibrateVariance(input->planes.bounds, &input->planes);
-  return input;
+  return paths.size() == 1 ? ReadFilm(paths.front()) : ReadHalves(paths);
 }
 
 }  // namespace tessera

@@ -11,7 +11,7 @@
 namespace tessera {
 
 struct DenoiseInput {
-  FramePlanes planes;  // calibrated
+  FramePlanes planes;  // not calibrated yet
   PixelRect frame;
   bool transparent = false;
   Metadata metadata;

@@ -81,7 +81,9 @@ struct DenoiseFlags {
   std::vector<std::string> inputs;
   std::string denoiser;
   std::string quality;
+  std::vector<std::string> options;  // NAME=VALUE
   OutputFlags output;
+  bool list = false;
   bool json = false;
 };
 

@@ -34,6 +34,23 @@ void SetRelativeError(const PixelRect& window, FilteredPlanes* out) {
   }
 }
 
+absl::Status Denoiser::SetOption(std::string_view option, float value) {
+  const std::vector<DenoiserOption> known = options();
+  std::vector<std::string> texts;
+  for (size_t i = 0; i < known.size(); ++i) {
+    const DenoiserOption& o = known[i];
+    if (o.name == option && value >= o.min && value <= o.max) {
+      SetOptionAt(i, value);
+      return absl::OkStatus();
+    }
+    texts.push_back(absl::StrCat(o.name, "=", o.min, "..", o.max));
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      absl::string_view(option.data(), option.size()), "=", value, ": ",
+      absl::string_view(name().data(), name().size()), " takes ",
+      texts.empty() ? "no options" : absl::StrJoin(texts, ", ")));
+}
+
 std::vector<std::string> DenoiserNames() {
   return {"regression", "bilateral", "geometric", "none"};
 }

@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "core/film/frame_planes.h"
 
@@ -43,6 +44,15 @@ inline constexpr float kRelMseEpsilon = 0.01f;
 // filters whose intervals are all they know.
 void SetRelativeError(const PixelRect& window, FilteredPlanes* out);
 
+// A number of a filter that can be set by hand, for charts of what its choice is worth.
+struct DenoiserOption {
+  std::string name;
+  std::string text;
+  float value = 0;  // now
+  float min = 0;    // of what it can be set to, both included
+  float max = 0;
+};
+
 class Denoiser {
  public:
   virtual ~Denoiser() = default;
@@ -57,6 +67,14 @@ class Denoiser {
   // or left zero with an infinite error. Threads: const, any number at once on disjoint windows.
   virtual void Filter(const FramePlanes& planes, const FrameParameters& parameters,
                       const PixelRect& window, FilteredPlanes* out) const = 0;
+  // What SetOption knows; most filters have nothing to set.
+  virtual std::vector<DenoiserOption> options() const { return {}; }
+  // Errors: INVALID_ARGUMENT naming the options and their ranges.
+  absl::Status SetOption(std::string_view option, float value);
+
+ protected:
+  // Sets option `index` of options() to a value inside its range.
+  virtual void SetOptionAt(size_t /*index*/, float /*value*/) {}
 };
 
 // Names that MakeDenoiser knows, the default first; "none" copies the mean.

@@ -34,14 +34,26 @@ float NormalCosine(const Planes3& normal, int64_t p, int64_t q) {
   return lengths > 0 ? dot / lengths : -1.0f;
 }
 
-bool IsSameSurface(const FramePlanes& planes, int64_t p, int64_t q) {
+bool IsSameSurface(const FramePlanes& planes, int64_t p, int64_t q, float depth_threshold,
+                   float normal_cosine) {
   return planes.samples[q] > 0 && planes.material_id[p] == planes.material_id[q] &&
-         std::abs(planes.depth[p] - planes.depth[q]) <=
-             kGeometricDepthThreshold * planes.depth[p] &&
-         NormalCosine(planes.normal, p, q) >= kGeometricNormalCosine;
+         std::abs(planes.depth[p] - planes.depth[q]) <= depth_threshold * planes.depth[p] &&
+         NormalCosine(planes.normal, p, q) >= normal_cosine;
 }
 
 }  // namespace
+
+std::vector<DenoiserOption> GeometricFilter::options() const {
+  return {{"radius", "pixels of radius for each percent of relative variance", radius_per_variance_,
+           0, 1e6f},
+          {"depth", "greatest difference of depth, as a fraction", depth_threshold_, 0, 1e6f},
+          {"normal", "least cosine between the normals", normal_cosine_, -1, 1}};
+}
+
+void GeometricFilter::SetOptionAt(size_t index, float value) {
+  float* const numbers[] = {&radius_per_variance_, &depth_threshold_, &normal_cosine_};
+  *numbers[index] = value;
+}
 
 void GeometricFilter::Filter(const FramePlanes& planes, const FrameParameters& parameters,
                              const PixelRect& window, FilteredPlanes* out) const {
@@ -56,7 +68,7 @@ void GeometricFilter::Filter(const FramePlanes& planes, const FrameParameters& p
         }
         continue;
       }
-      const float radius = std::min(kGeometricRadiusPerVariance * VariancePercent(planes, p),
+      const float radius = std::min(radius_per_variance_ * VariancePercent(planes, p),
                                     static_cast<float>(kGeometricRadiusMaxPx));
       const PixelRect kernel = PixelRect{x, y, x + 1, y + 1}
                                    .Expand(static_cast<int>(radius))
@@ -72,7 +84,10 @@ void GeometricFilter::Filter(const FramePlanes& planes, const FrameParameters& p
             const float distance =
                 std::sqrt(static_cast<float>((qx - x) * (qx - x) + (qy - y) * (qy - y)));
             weight = 1.0f - distance / radius;
-            if (weight <= 0 || !IsSameSurface(planes, p, q)) continue;
+            if (weight <= 0 ||
+                !IsSameSurface(planes, p, q, depth_threshold_, normal_cosine_)) {
+              continue;
+            }
           }
           weight_sum += weight;
           for (int c = 0; c < 3; ++c) {

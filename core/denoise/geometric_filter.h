@@ -23,12 +23,23 @@ inline constexpr float kGeometricNormalCosine = 0.9f;
 // Error: 1.96 standard deviations of the weighted mean, sum w^2 v / (sum w)^2, as if neighbours
 // were independent and had the same true value. It knows nothing of the bias by blurring, so it is
 // too small wherever the filter blurs; +inf where a variance in the kernel is unknown.
+//
+// Its options "radius", "depth" and "normal" replace the first, third and fourth constant above.
 class GeometricFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "geometric"; }
   int halo_px(DenoiseQuality /*quality*/) const override { return kGeometricRadiusMaxPx; }
   void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
               FilteredPlanes* out) const override;
+  std::vector<DenoiserOption> options() const override;
+
+ protected:
+  void SetOptionAt(size_t index, float value) override;
+
+ private:
+  float radius_per_variance_ = kGeometricRadiusPerVariance;
+  float depth_threshold_ = kGeometricDepthThreshold;
+  float normal_cosine_ = kGeometricNormalCosine;
 };
 
 }  // namespace tessera

@@ -2,7 +2,9 @@
 #include "core/denoise/geometric_filter.h"
 
 #include <cmath>
+#include <string>
 
+#include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "tests/core/denoise/synthetic_frame.h"
 
@@ -56,6 +58,32 @@ TEST(GeometricFilter, SkipsOtherSurfaces) {
   near.normal[1][1] = 0.95f;
   near.normal[2][1] = std::sqrt(1 - 0.95f * 0.95f);
   EXPECT_GT(RedAt(near, 0), 0);
+}
+
+TEST(GeometricFilter, OptionsReplaceTheThresholds) {
+  FramePlanes planes = PointInRow(3, kVarianceOfTwoPixels);
+  planes.depth[1] = 1.1f;
+  GeometricFilter filter;
+  FilteredPlanes out(planes.bounds);
+  ASSERT_TRUE(filter.SetOption("depth", 0.2f).ok());
+  EXPECT_EQ(filter.options()[1].value, 0.2f);
+  filter.Filter(planes, {planes.bounds}, planes.bounds, &out);
+  EXPECT_NEAR(out.color[0][0], 0.5f / 1.5f, 1e-5f);
+  ASSERT_TRUE(filter.SetOption("radius", 0).ok());
+  filter.Filter(planes, {planes.bounds}, planes.bounds, &out);
+  EXPECT_EQ(out.color[0][0], 0);
+  ASSERT_TRUE(filter.SetOption("radius", 2).ok());
+  ASSERT_TRUE(filter.SetOption("normal", 1).ok());
+  planes.normal[2][1] = 0.1f;
+  filter.Filter(planes, {planes.bounds}, planes.bounds, &out);
+  EXPECT_EQ(out.color[0][0], 0);
+}
+
+TEST(GeometricFilter, RefusesOptionsThatItHasNot) {
+  GeometricFilter filter;
+  EXPECT_EQ(filter.SetOption("normal", 2).code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(filter.SetOption("sharpness", 1).message()),
+              testing::HasSubstr("depth=0..1e+06"));
 }
 
 TEST(GeometricFilter, NoVarianceMeansNoBlur) {
