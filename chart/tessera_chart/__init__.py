@@ -1,0 +1,1 @@
+"""Charts of accuracy against time: renders scenes, applies every filter, measures, draws."""

@@ -1,0 +1,272 @@
+"""Measures one view: a ladder of sample counts by one run, every method on every film of it.
+
+Each piece of work is a task whose result lies in a Store; a finished one is not done again.
+"""
+
+import dataclasses
+import pathlib
+import re
+from typing import Callable
+
+from tessera_chart import measures, methods, peers_of, programs
+from tessera_chart.errors import BadInput
+from tessera_chart.store import Store
+from tessera_chart.views import View
+
+REFERENCE_SEEDS = (1001, 1002)
+
+
+@dataclasses.dataclass
+class Plan:
+    """What the run is to do; the same for all views."""
+
+    tessera: programs.Tessera
+    methods: list[methods.Method]
+    spp: list[int]  # ascending
+    seeds: list[int]
+    size: str  # WIDTHxHEIGHT
+    reference_spp: int  # of each of the two
+    references: list[pathlib.Path]  # given instead: one or two
+    threads: int | None
+    oidn: str | None = None
+    oidn_weights: pathlib.Path | None = None
+
+    def pixels(self) -> int:
+        width, height = map(int, self.size.split("x"))
+        return width * height
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """A piece of work; `weight` is about the seconds that it takes on two idle cores."""
+
+    label: str
+    weight: float
+    run: Callable[[], None]
+
+
+class Ladder:
+    """One view's work and results."""
+
+    def __init__(self, plan: Plan, view: View, work: pathlib.Path):
+        self.plan, self.view = plan, view
+        digest = view.digest(plan.size, plan.tessera.version())
+        self.store = Store(work / f"{view.name}-{digest}")
+        self._reference: measures.Reference | None = None
+
+    # Work.
+
+    def tasks(self) -> list[Task]:
+        """In the order in which they must run."""
+        plan, rate = self.plan, 1.2e6  # samples a second, roughly
+        todo = []
+        if not plan.references:
+            weight = plan.pixels() * plan.reference_spp / rate
+            todo += [Task(f"reference {i + 1}", weight, lambda s=s: self._render_reference(s))
+                     for i, s in enumerate(REFERENCE_SEEDS)]
+        per_filter = 0.3 + 10e-6 * plan.pixels()
+        for seed in plan.seeds:
+            before = 0
+            for spp in plan.spp:
+                weight = 0.4 + plan.pixels() * (spp - before) / rate
+                todo.append(Task(f"{spp} spp", weight,
+                                 lambda a=(seed, spp, before): self._render_step(*a)))
+                before = spp
+            todo.append(Task("start-up", 0.4, lambda s=seed: self._render_nothing(s)))
+            for spp in plan.spp:
+                for method in self.plan.methods:
+                    runner, weight = self._runner(method)
+                    if method.searched and seed == plan.seeds[0]:
+                        weight = 30
+                    todo.append(Task(f"{method.name} at {spp} spp", weight or per_filter,
+                                     lambda r=runner, a=(method, seed, spp): r(*a)))
+        return todo
+
+    def _runner(self, method: methods.Method):
+        """What measures it, and its weight (0: as a filter)."""
+        plan = self.plan
+        if method.denoiser:
+            return self._measure_filter, 0
+        at_mean_spp = plan.pixels() * sum(plan.spp) / len(plan.spp) / 1e6
+        return {methods.OIDN: (self._measure_oidn, 0),
+                methods.ADAPTIVE: (self._measure_adaptive, 1 + at_mean_spp),
+                methods.CYCLES: (self._measure_cycles, 3 + at_mean_spp)}[method.name]
+
+    def _render_flags(self, spp: int, seed: int) -> list:
+        threads = ["--threads", self.plan.threads] if self.plan.threads else []
+        return [self.view.file, *self.view.flags, "--size", self.plan.size, "--spp", spp, "--seed",
+                seed, *threads, "--quiet"]
+
+    def _render_reference(self, seed: int) -> None:
+        key = f"reference.{self.plan.reference_spp}.{seed}"
+        if self.store.get(key):
+            return
+        figures, _ = self.plan.tessera.run(
+            "render", *self._render_flags(self.plan.reference_spp, seed), "--denoiser", "none",
+            "--layers", "final", "-o", self.store.path(key + ".exr"))
+        self.store.put(key, figures)
+
+    def _film(self, seed: int, spp: int) -> pathlib.Path:
+        return self.store.path(f"{seed}.{spp}.film.exr")
+
+    def _render_step(self, seed: int, spp: int, before: int) -> None:
+        key = f"{seed}.{spp}.render"
+        if self.store.get(key) and self._film(seed, spp).is_file():
+            return
+        taken_up = ["--continue", self._film(seed, before)] if before else []
+        figures, cpu_s = self.plan.tessera.run(
+            "render", *self._render_flags(spp, seed), *taken_up, "--denoiser", "none", "--layers",
+            "film", "-o", self._film(seed, spp))
+        figures["process_cpu_s"] = cpu_s
+        self.store.put(key, figures)
+
+    def _render_nothing(self, seed: int) -> None:
+        """What a process costs that takes up a film, adds no sample and writes it."""
+        if self.store.get(f"{seed}.nothing"):
+            return
+        spp = self.plan.spp[0]
+        _, cpu_s = self.plan.tessera.run(
+            "render", *self._render_flags(spp, seed), "--continue", self._film(seed, spp),
+            "--denoiser", "none", "--layers", "film", "-o", self.store.path("nothing.exr"))
+        self.store.path("nothing.exr").unlink()
+        self.store.put(f"{seed}.nothing", {"process_cpu_s": cpu_s})
+
+    def _measured(self, picture: pathlib.Path, reference: measures.Reference) -> dict:
+        return dataclasses.asdict(reference.errors(measures.read_rgb(picture)))
+
+    def _measure_filter(self, method: methods.Method, seed: int, spp: int) -> None:
+        key = f"{seed}.{spp}.{method.name}"
+        if self.store.get(key):
+            return
+        options, tried = None, 0
+        if method.searched:
+            options, tried = self._best_options(method, spp)
+        picture = self.picture(method.name, seed, spp)
+        figures = self._denoise(method, seed, spp, picture, options)
+        result = {"filter_s": figures["seconds"]["filter"],
+                  "filter_cpu_s": figures["cpu_seconds"]["filter"],
+                  **self._measured(picture, self.reference())}
+        if method.name == methods.RAW:
+            result["filter_s"] = result["filter_cpu_s"] = 0.0
+        if options is not None:
+            result["options"], result["options_tried"] = options, tried
+        if seed != self.plan.seeds[0]:
+            picture.unlink()
+        self.store.put(key, result)
+
+    def _denoise(self, method, seed, spp, picture, options=None) -> dict:
+        return self.plan.tessera.run("denoise", self._film(seed, spp), "-o", picture, "--layers",
+                                     "final", *method.flags(options))[0]
+
+    def _best_options(self, method: methods.Method, spp: int) -> tuple[dict, int]:
+        """Found on the first seed, used for all."""
+        seed = self.plan.seeds[0]
+        key = f"{spp}.{method.name}.options"
+        found = self.store.get(key)
+        if found is None:
+            trial = self.store.path("trial.exr")
+
+            def error_of(options):
+                self._denoise(method, seed, spp, trial, options)
+                return float(self.reference().relative_errors(measures.read_rgb(trial)).mean())
+
+            options, tried = methods.search(method, error_of)
+            trial.unlink(missing_ok=True)
+            found = {"options": options, "tried": tried}
+            self.store.put(key, found)
+        return found["options"], found["tried"]
+
+    def _measure_oidn(self, method: methods.Method, seed: int, spp: int) -> None:
+        key = f"{seed}.{spp}.{method.name}"
+        if self.store.get(key):
+            return
+        noisy, picture = self.store.path("noisy.exr"), self.picture(method.name, seed, spp)
+        self.plan.tessera.run("denoise", self._film(seed, spp), "-o", noisy, "--layers",
+                              "final,albedo,normal", "--denoiser", "none")
+        said = programs.run([self.plan.oidn, str(self.plan.oidn_weights), str(noisy),
+                             str(picture)]).stdout
+        noisy.unlink()
+        wall = re.search(r"(?<!network_ms )total_ms ([0-9.]+)", said)
+        cpu = re.search(r"cpu_ms ([0-9.]+)", said)
+        if not wall or not cpu:
+            raise BadInput(f"--oidn {self.plan.oidn}: prints no total_ms and cpu_ms")
+        self.store.put(key, {"filter_s": float(wall.group(1)) / 1e3,
+                             "filter_cpu_s": float(cpu.group(1)) / 1e3,
+                             **self._measured(picture, self.reference())})
+
+    def _measure_adaptive(self, method: methods.Method, seed: int, spp: int) -> None:
+        """Sampling by --target-error, the target being what the same samples everywhere reached."""
+        key = f"{seed}.{spp}.{method.name}"
+        if self.store.get(key):
+            return
+        uniform = self.store.get(f"{self.plan.seeds[0]}.{spp}.regression")
+        if uniform is None or uniform["rel_mse"] <= 0:
+            return
+        target = max(uniform["rel_mse"] ** 0.5, 1e-4)
+        picture = self.picture(method.name, seed, spp)
+        figures, cpu_s = self.plan.tessera.run(
+            "render", *self._render_flags(4 * self.plan.spp[-1], seed), "--target-error",
+            f"{target:.6g}", "--layers", "final", "-o", picture)
+        seconds = figures["seconds"]
+        self.store.put(key, {"own_spp": figures["spp"], "target": target,
+                             "stopped_by": figures["stopped_by"],
+                             "render_s": seconds["load"] + seconds["render"],
+                             "render_cpu_s": cpu_s, "filter_s": seconds["filter"],
+                             "filter_cpu_s": 0.0, "bytes": figures["bytes"]["deltas"],
+                             **self._measured(picture, self.reference())})
+
+    def _measure_cycles(self, method: methods.Method, seed: int, spp: int) -> None:
+        key = f"{seed}.{spp}.{method.name}"
+        if self.store.get(key):
+            return
+        cycles = peers_of.Cycles(self.plan, self.view, self.store)
+        picture, cpu_s, wall_s = cycles.render(spp, seed)
+        self.store.put(key, {"process_cpu_s": cpu_s, "process_s": wall_s,
+                             **self._measured(picture, cycles.reference())})
+
+    # Results.
+
+    def reference(self) -> measures.Reference:
+        if self._reference is None:
+            paths = self.plan.references or [
+                self.store.path(f"reference.{self.plan.reference_spp}.{s}.exr")
+                for s in REFERENCE_SEEDS]
+            self._reference = measures.Reference(*map(measures.read_rgb, paths))
+        return self._reference
+
+    def picture(self, method: str, seed: int, spp: int) -> pathlib.Path:
+        """The EXR; kept for the first seed."""
+        return self.store.path(f"{seed}.{spp}.{method}.exr")
+
+    def points(self) -> list[dict]:
+        """All that is finished, one row a method, sample count and seed."""
+        rows = []
+        for seed in self.plan.seeds:
+            steps = [self.store.get(f"{seed}.{spp}.render") for spp in self.plan.spp]
+            nothing = self.store.get(f"{seed}.nothing")
+            if nothing is None or None in steps:
+                continue
+            before = self.plan.spp[-2] if len(self.plan.spp) > 1 else 0
+            cpu_per_spp = max(0.0, steps[-1]["process_cpu_s"] - nothing["process_cpu_s"]) / (
+                self.plan.spp[-1] - before)
+            load = steps[0]["seconds"]["load"]
+            wall, sent = load, 0
+            for spp, step in zip(self.plan.spp, steps):
+                wall += step["seconds"]["render"]
+                sent += step["bytes"]["deltas"]
+                shared = {"scene": self.view.name, "seed": seed, "spp": spp, "own_spp": spp,
+                          "render_s": wall, "render_cpu_s": load + cpu_per_spp * spp,
+                          "bytes": sent}
+                for method in self.plan.methods:
+                    found = self.store.get(f"{seed}.{spp}.{method.name}")
+                    if found is not None:
+                        rows.append(self._row(method.name, shared, found))
+        return rows
+
+    def _row(self, method: str, shared: dict, found: dict) -> dict:
+        row = {"method": method, "filter_s": 0.0, "filter_cpu_s": 0.0, **shared, **found}
+        if method == methods.CYCLES:
+            row.update(peers_of.proportional_times(self.plan, self.store, row), bytes=None)
+        row["total_s"] = row["render_s"] + row["filter_s"]
+        row["total_cpu_s"] = row["render_cpu_s"] + row["filter_cpu_s"]
+        return row

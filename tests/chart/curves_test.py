@@ -1,0 +1,60 @@
+"""What is read off curves, by hand; the search for the best options."""
+
+import unittest
+
+from tessera_chart import curves, methods, results
+
+
+class Curves(unittest.TestCase):
+    def test_interpolates_straight_in_log_log(self):
+        error, beyond = curves.interpolate([1, 100], [1, 0.01], 10)
+        self.assertAlmostEqual(error, 0.1)
+        self.assertFalse(beyond)
+
+    def test_goes_on_beyond_the_last_point_but_not_far(self):
+        error, beyond = curves.interpolate([1, 4], [1, 0.25], 16)
+        self.assertAlmostEqual(error, 1 / 16)
+        self.assertTrue(beyond)
+        self.assertIsNone(curves.interpolate([1, 4], [1, 0.25], 17))
+        self.assertIsNone(curves.interpolate([1, 4], [1, 0.25], 0.9))
+
+    def test_errors_within_the_noise_of_the_references_are_no_points(self):
+        self.assertIsNone(curves.interpolate([1, 4], [-1, 0], 2))
+
+    def test_multiplier_is_that_of_the_fitted_line(self):
+        counts, errors = [4, 16, 64], [0.25, 0.0625, 0.015625]
+        self.assertAlmostEqual(curves.multiplier(counts, errors, 4, 0.0625), 4)
+        self.assertAlmostEqual(curves.multiplier(counts, errors, 64, 0.03125), 0.5)
+        self.assertIsNone(curves.multiplier(counts, errors, 4, -1e-9))
+
+    def test_front_has_what_no_other_beats_in_both(self):
+        points = [(2, 2), (1, 4), (3, 3), (4, 1)]
+        self.assertEqual(curves.pareto_front(points), [1, 0, 3])
+
+    def test_winner_has_the_least_error_at_the_cost(self):
+        found = curves.winner({"a": ([1, 10], [1, 0.1]), "b": ([2, 10], [0.1, 0.09])}, 5)
+        self.assertEqual(found[0], "b")
+        self.assertEqual(found[3], "a")
+
+
+class Search(unittest.TestCase):
+    def test_finds_the_best_of_a_separable_error(self):
+        method = methods.Method("g-best", "g", options=(("radius", 2.0), ("depth", 0.05)),
+                                searched=("radius", "depth"))
+        best, tried = methods.search(
+            method, lambda o: abs(o["radius"] - 8) + abs(o["depth"] - 0.2))
+        self.assertEqual(best, {"radius": 8, "depth": 0.2})
+        self.assertGreater(tried, 5)
+
+
+class Means(unittest.TestCase):
+    def test_ranges_are_those_of_the_seeds(self):
+        rows = [{"scene": "s", "method": "raw", "spp": 4, "own_spp": 4, "seed": seed, "rel_mse": e}
+                for seed, e in ((1, 0.1), (2, 0.3))]
+        mean = results.means_of(rows, "s")["raw"][0]
+        self.assertAlmostEqual(mean.values["rel_mse"], 0.2)
+        self.assertEqual((mean.low["rel_mse"], mean.high["rel_mse"]), (0.1, 0.3))
+
+
+if __name__ == "__main__":
+    unittest.main()
