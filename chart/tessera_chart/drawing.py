@@ -90,7 +90,8 @@ def shared_legend(figure, axes_list, **placing) -> None:
     figure.legend(found.values(), found.keys(), **placing)
 
 
-def draw_scene(by_method: dict, title: str, floor: float, path: pathlib.Path) -> None:
+def draw_scene(by_method: dict, title: str, floor: float, path: pathlib.Path,
+               png: bool = True) -> None:
     """All costs by all errors of one scene."""
     figure, grid = pyplot.subplots(len(ERRORS), len(COSTS), figsize=(15, 6.6), sharey="row",
                                    sharex="col")
@@ -103,10 +104,11 @@ def draw_scene(by_method: dict, title: str, floor: float, path: pathlib.Path) ->
     figure.suptitle(title, fontsize=11)
     shared_legend(figure, [a for row in grid for a in row], loc="center left",
                   bbox_to_anchor=(0.91, 0.5))
-    save(figure, path)
+    save(figure, path, png)
 
 
-def draw_main(rows: list[dict], scenes: list[str], floors: dict, path: pathlib.Path) -> None:
+def draw_main(rows: list[dict], scenes: list[str], floors: dict, path: pathlib.Path,
+              png: bool = True) -> None:
     """relMSE against CPU seconds, one small chart a scene."""
     columns = min(3, len(scenes))
     lines = -(-len(scenes) // columns)
@@ -124,10 +126,11 @@ def draw_main(rows: list[dict], scenes: list[str], floors: dict, path: pathlib.P
         line[0].set_ylabel("relMSE")
     figure.tight_layout(rect=(0, 0, 0.99, 1))
     shared_legend(figure, used[:len(scenes)], loc="center left", bbox_to_anchor=(1.0, 0.5))
-    save(figure, path)
+    save(figure, path, png)
 
 
-def draw_multipliers(rows: list[dict], scenes: list[str], path: pathlib.Path) -> None:
+def draw_multipliers(rows: list[dict], scenes: list[str], path: pathlib.Path,
+                     png: bool = True) -> None:
     """Equivalent samples against samples; above 1 a filter is worth its name."""
     columns = min(3, len(scenes))
     lines = -(-len(scenes) // columns)
@@ -153,4 +156,4 @@ def draw_multipliers(rows: list[dict], scenes: list[str], path: pathlib.Path) ->
         line[0].set_ylabel("equivalent samples / samples")
     figure.tight_layout(rect=(0, 0, 0.99, 1))
     shared_legend(figure, used[:len(scenes)], loc="center left", bbox_to_anchor=(1.0, 0.5))
-    save(figure, path)
+    save(figure, path, png)

@@ -30,12 +30,16 @@ def rounded(row: dict) -> dict:
             for c in COLUMNS}
 
 
-def write_points(rows: list[dict], settings: dict, folder: pathlib.Path) -> None:
-    """points.csv and points.json, the latter with the settings of the run."""
-    with (folder / "points.csv").open("w", newline="", encoding="utf-8") as file:
+def write_csv(rows: list[dict], path: pathlib.Path) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(map(rounded, rows))
+
+
+def write_points(rows: list[dict], settings: dict, folder: pathlib.Path) -> None:
+    """points.csv and points.json, the latter with the settings of the run."""
+    write_csv(rows, folder / "points.csv")
     points = [{**rounded(r), **({"options": r["options"]} if "options" in r else {})} for r in rows]
     (folder / "points.json").write_text(
         json.dumps({"settings": settings, "points": points}, indent=1) + "\n", encoding="utf-8")
@@ -44,6 +48,11 @@ def write_points(rows: list[dict], settings: dict, folder: pathlib.Path) -> None
 def read_points(path: pathlib.Path) -> list[dict]:
     """The rows of points.json."""
     return json.loads(path.read_text(encoding="utf-8"))["points"]
+
+
+def read_settings(path: pathlib.Path) -> dict:
+    """Those of the run that wrote points.json."""
+    return json.loads(path.read_text(encoding="utf-8"))["settings"]
 
 
 def means_of(rows: list[dict], scene: str) -> dict[str, list[Mean]]:

@@ -78,18 +78,15 @@ class Chart(unittest.TestCase):
 
     def test_bad_input_is_one_line_and_code_2(self):
         for bad, word in ((["--spp", "4,x"], "--spp"), (["--size", "3"], "--size"),
-                          (["--methods", "magic"], "magic"), (["--reference", "no.exr"], "no.exr"),
-                          (["--oidn", "no-such"], "no-such"), (["--seeds", "0"], "--seeds"),
+                          (["--reference", "no.exr"], "no.exr"), (["--oidn", "no-such"], "no-such"),
                           (["--look-from", "1,2"], "--look-from")):
             done = tessera("chart", SCENES / "cornell.glb", "-o", self.out, *SMALL, *bad)
             self.assertEqual(done.returncode, 2, bad)
             self.assertIn(word, done.stderr)
             self.assertEqual(len(done.stderr.strip().splitlines()), 1, done.stderr)
-        for scene, word in (("no.glb", "no.glb"),
-                            (f"a={SCENES / 'cornell.glb'} --spp 4", "--spp")):
-            done = tessera("chart", scene, "-o", self.out)
-            self.assertEqual(done.returncode, 2)
-            self.assertIn(word, done.stderr)
+        done = tessera("chart", f"a={SCENES / 'cornell.glb'} --spp 4", "-o", self.out)
+        self.assertEqual(done.returncode, 2)
+        self.assertIn("--spp", done.stderr)
 
 
 class Measures(unittest.TestCase):

@@ -1,0 +1,1 @@
+"""The committed charts of docs/: what regenerate_charts.py makes."""

@@ -1,0 +1,203 @@
+"""How cost grows with the work: workers, resolution, triangles, lights."""
+
+import contextlib
+import csv
+import os
+import pathlib
+import re
+import subprocess
+import time
+
+from matplotlib import pyplot
+
+from charts import failures
+from tessera_chart import drawing, measures, programs
+from tessera_chart.store import Store
+
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
+
+
+@contextlib.contextmanager
+def _farm(bin_folder: pathlib.Path, num_workers: int, used: dict):
+    """A server and workers of one thread each on loopback; afterwards their CPU seconds in `used`."""
+    children = []
+
+    def start(*command, **streams):
+        child = subprocess.Popen([str(c) for c in command], **streams)
+        children.append(child)
+        return child
+
+    try:
+        server = start(bin_folder / "tessera-server", "--listen", "127.0.0.1:0", "--http", "off",
+                       stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        said = ""
+        while "grpc_port=" not in said:
+            said = server.stderr.readline()
+            if not said:
+                raise RuntimeError("tessera-server did not start")
+        port = re.search(r"grpc_port=(\d+)", said).group(1)
+        for _ in range(num_workers):
+            start(bin_folder / "tessera-worker", "--server", f"127.0.0.1:{port}", "--threads", 1,
+                  stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        yield f"127.0.0.1:{port}"
+    finally:
+        used["cpu_s"] = 0.0
+        for child in reversed(children):
+            child.terminate()
+        for child in children:
+            if child.stderr:
+                child.stderr.close()
+            _, status, usage = os.wait4(child.pid, 0)
+            child.returncode = os.waitstatus_to_exitcode(status)
+            used["cpu_s"] += usage.ru_utime + usage.ru_stime
+
+
+def _wait_for_workers(tessera, address: str, count: int) -> None:
+    for _ in range(600):
+        found, _ = tessera.run("workers", "--server", address)
+        if len(found["workers"]) >= count:
+            return
+        time.sleep(0.1)
+    raise RuntimeError(f"of {count} workers only {len(found['workers'])} came")
+
+
+def measure_workers(tessera, bin_folder, scene, store: Store, quick: bool) -> list[dict]:
+    """The same job on farms of 1 to 4 workers; the CPU is of server and workers, of a long job less
+    a short one, so that starting and connecting do not count."""
+    size, few, many = ("64x36", 2, 4) if quick else ("320x180", 2, 66)
+    rows = []
+    for count in (1,) if quick else (1, 2, 3, 4):
+        key = f"workers.{count}"
+        row = store.get(key)
+        if row is None:
+            times = {}
+            for spp in (few, many):
+                used: dict = {}
+                with _farm(bin_folder, count, used) as address:
+                    _wait_for_workers(tessera, address, count)
+                    figures, _ = tessera.run(
+                        "render", scene, "-o", store.path("farm.exr"), "--layers", "final", "--size",
+                        size, "--spp", spp, "--denoiser", "none", "--server", address, "--quiet")
+                times[spp] = (used["cpu_s"], figures)
+            row = {"x": count, "seconds": times[many][1]["seconds"]["render"],
+                   "cpu_s": times[many][0] - times[few][0],
+                   "bytes": times[many][1]["bytes"]["deltas"], "digest": times[many][1]["digest"]}
+            store.put(key, row)
+        rows.append({**row, "quantity": "workers"})
+    return rows
+
+
+def _render(tessera, scene, size: str, spp: int, store: Store, seed: int = 1) -> dict:
+    out = store.path("scale.exr")
+    figures, cpu_s = tessera.run("render", scene, "-o", out, "--layers", "final", "--size", size,
+                                 "--spp", spp, "--denoiser", "none", "--quiet", "--seed", seed)
+    return {"figures": figures, "cpu_s": cpu_s, "picture": out}
+
+
+def _cost(tessera, scene, size: str, few: int, many: int, store: Store) -> dict:
+    """CPU microseconds of a sample, by the difference of two runs."""
+    short, long = (_render(tessera, scene, size, spp, store) for spp in (few, many))
+    samples = long["figures"]["samples"] - short["figures"]["samples"]
+    return {"us_per_sample": max(0.0, long["cpu_s"] - short["cpu_s"]) / samples * 1e6,
+            "load_s": long["figures"]["seconds"]["load"],
+            "rays_per_sample": long["figures"]["rays"] / long["figures"]["samples"],
+            "bytes_per_pixel": long["figures"]["bytes"]["deltas"]
+                               / (long["figures"]["width"] * long["figures"]["height"])}
+
+
+def measure_growth(tessera, folder: pathlib.Path, store: Store, quick: bool) -> list[dict]:
+    few, many = (1, 3) if quick else (2, 34)
+    rows = []
+
+    def add(quantity, x, scene, size):
+        key = f"{quantity}.{x}"
+        row = store.get(key)
+        if row is None:
+            row = {"x": x, **_cost(tessera, scene, size, few, many, store)}
+            store.put(key, row)
+        rows.append({**row, "quantity": quantity})
+
+    small = "32x18" if quick else "160x90"
+    plain = failures.write(failures.plain(), folder / "plain.glb")
+    for width in (64,) if quick else (80, 160, 320, 640, 1280):
+        height = width * 9 // 16
+        few, many = (1, 3) if quick else (2, max(4, 34 * 160 * 160 // width ** 2 + 2))
+        add("pixels", width * height, plain, f"{width}x{height}")
+    few, many = (1, 3) if quick else (2, 34)
+    for count in (1000,) if quick else (100, 1000, 10000, 100000, 1000000):
+        scene = failures.write(failures.triangles(count), folder / f"triangles_{count}.glb")
+        add("triangles", count, scene, small)
+    for count in (10,) if quick else (1, 10, 100, 1000, 10000):
+        scene = failures.write(failures.lights(count), folder / f"lights_{count}.glb")
+        add("lights", count, scene, small)
+        rows[-1]["rel_mse"] = _light_error(tessera, scene, count, small, store, quick)
+    return rows
+
+
+def _light_error(tessera, scene, count: int, size: str, store: Store, quick: bool) -> float:
+    """relMSE of 16 raw samples."""
+    key = f"lights.{count}.error"
+    found = store.get(key)
+    if found is None:
+        references = [measures.read_rgb(_render(tessera, scene, size, 4 if quick else 256, store,
+                                                seed)["picture"]) for seed in (1001, 1002)]
+        picture = measures.read_rgb(_render(tessera, scene, size, 2 if quick else 16, store)["picture"])
+        found = {"rel_mse": float(measures.Reference(*references).relative_errors(picture).mean())}
+        store.put(key, found)
+    return found["rel_mse"]
+
+
+def draw(rows: list[dict], path: pathlib.Path) -> None:
+    figure, grid = pyplot.subplots(1, 4, figsize=(14, 3.3))
+
+    def of(quantity):
+        return [r for r in rows if r["quantity"] == quantity]
+
+    def line(axes, quantity, column, label, index, scale=1.0):
+        found = of(quantity)
+        axes.plot([r["x"] for r in found], [r[column] * scale for r in found], marker="o",
+                  markersize=4, label=label, color=COLORS[index])
+
+    workers = of("workers")
+    axes = grid[0]
+    axes.plot([r["x"] for r in workers], [workers[0]["cpu_s"] / r["cpu_s"] for r in workers],
+              marker="o", markersize=4, color=COLORS[0], label="CPU of one worker / CPU")
+    axes.plot([r["x"] for r in workers], [workers[0]["seconds"] / r["seconds"] for r in workers],
+              marker="o", markersize=4, color=COLORS[1], label="speed-up (2 cores)")
+    axes.plot([r["x"] for r in workers], [r["bytes"] / workers[0]["bytes"] for r in workers],
+              marker="o", markersize=4, color=COLORS[2], label="bytes / bytes of one worker")
+    axes.set_xticks([r["x"] for r in workers])
+    axes.set_ylim(0, 2.6)
+    axes.set_xlabel("workers of one thread, real")
+    for axes, quantity in zip(grid[1:], ("pixels", "triangles", "lights")):
+        line(axes, quantity, "us_per_sample", "CPU us a sample", 0)
+        axes.set_xlabel(quantity)
+    line(grid[1], "pixels", "bytes_per_pixel", "bytes a pixel", 1)
+    line(grid[2], "triangles", "load_s", "load, s", 1)
+    line(grid[3], "lights", "rel_mse", "relMSE of 16 samples", 1)
+    for axes in grid[1:]:
+        drawing.log_axes(axes)
+    for axes in grid:
+        axes.legend(fontsize=7)
+    figure.tight_layout()
+    drawing.save(figure, path, png=False)
+
+
+def make(tessera: programs.Tessera, bin_folder: pathlib.Path, folder: pathlib.Path,
+         out: pathlib.Path, quick: bool) -> None:
+    """Errors: RuntimeError if farms of different sizes gave different pictures."""
+    folder = folder / "scale"
+    store = Store(folder / f"work-{re.sub('[^0-9a-f]', '', tessera.version()[-8:])}")
+    rows = measure_growth(tessera, folder / "scenes", store, quick)
+    plain = failures.write(failures.plain(), folder / "scenes" / "plain.glb")
+    rows += measure_workers(tessera, bin_folder, plain, store, quick)
+    if len({r["digest"] for r in rows if "digest" in r}) != 1:
+        raise RuntimeError("farms of different sizes gave different pictures")
+    columns = ["quantity", "x", "seconds", "cpu_s", "us_per_sample", "load_s", "rays_per_sample",
+               "bytes", "bytes_per_pixel", "rel_mse"]
+    with (out / "scale.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()})
+    draw(rows, out / "scale")
