@@ -143,13 +143,6 @@ KernelInput::KernelInput(const PixelRect& rect, const PixelRect& frame, const Fr
   }
 }
 
-KernelOutput::KernelOutput(const PixelRect& rect) : bounds(rect) {
-  for (int half = 0; half < kNumHalves; ++half) {
-    for (Plane& plane : color[half]) plane.assign(bounds.area(), 0.0f);
-    variance_factor[half].assign(bounds.area(), 0.0f);
-  }
-}
-
 namespace {
 
 // A neighbour's place: in the input's planes, and by its weight.
@@ -161,7 +154,7 @@ struct Offset {
 // Rows [y_begin, y_end) of the output, counted from its top; one pass over all offsets.
 class Strip {
  public:
-  Strip(const KernelInput& input, int y_begin, int y_end, KernelOutput* out)
+  Strip(const KernelInput& input, int y_begin, int y_end, FilteredHalves* out)
       : in_(input),
         out_(*out),
         width_(out->bounds.width()),
@@ -250,7 +243,7 @@ class Strip {
   }
 
   const KernelInput& in_;
-  KernelOutput& out_;
+  FilteredHalves& out_;
   const int width_;
   const int y_begin_;
   const int num_rows_;
@@ -263,7 +256,7 @@ class Strip {
 
 }  // namespace
 
-void RunBilateralKernel(const KernelInput& input, int radius_px, KernelOutput* out) {
+void RunBilateralKernel(const KernelInput& input, int radius_px, FilteredHalves* out) {
   TESSERA_CHECK(input.bounds.Contains(out->bounds.Expand(radius_px + kPatchRadiusPx)));
   // sigma = radius / 2: 2 sigma^2 = radius^2 / 2.
   const float falloff = 2.0f / static_cast<float>(radius_px * radius_px);

@@ -4,7 +4,7 @@
 
 #include <array>
 
-#include "core/denoise/denoiser.h"
+#include "core/denoise/judged_picture.h"
 
 namespace tessera {
 
@@ -26,22 +26,11 @@ struct KernelInput {
   Plane known;  // 1: inside the frame, both halves have samples; else 0
 };
 
-// The filtered colour of each half, row-major over `bounds`.
-struct KernelOutput {
-  explicit KernelOutput(const PixelRect& bounds);
-
-  PixelRect bounds;
-  std::array<Planes3, kNumHalves> color;
-  // Sum of squared weights over the squared sum of weights: the factor by which filtering lowers
-  // the variance of a half, (0, 1].
-  std::array<Plane, kNumHalves> variance_factor;
-};
-
 // Filters both halves over out->bounds; input.bounds must reach radius_px + kPatchRadiusPx further.
 // The weight of a neighbour within the radius is a Gaussian of its distance (sigma radius_px / 2)
 // times a falloff of its range distance: the other half's colours, compared patch by patch, and the
 // features.
 // Pixels that are not known keep their colour.
-void RunBilateralKernel(const KernelInput& input, int radius_px, KernelOutput* out);
+void RunBilateralKernel(const KernelInput& input, int radius_px, FilteredHalves* out);
 
 }  // namespace tessera

@@ -5,8 +5,10 @@
 #include "core/denoise/bilateral_filter.h"
 #include "core/denoise/confidence.h"
 #include "core/denoise/geometric_filter.h"
+#include "core/denoise/nlm_filter.h"
 #include "core/denoise/none_filter.h"
 #include "core/denoise/regression_filter.h"
+#include "core/denoise/welch_filter.h"
 
 namespace tessera {
 
@@ -52,12 +54,14 @@ absl::Status Denoiser::SetOption(std::string_view option, float value) {
 }
 
 std::vector<std::string> DenoiserNames() {
-  return {"regression", "bilateral", "geometric", "none"};
+  return {"regression", "bilateral", "nlm", "welch", "geometric", "none"};
 }
 
 absl::StatusOr<std::unique_ptr<Denoiser>> MakeDenoiser(std::string_view name) {
   if (name == "regression") return std::make_unique<RegressionFilter>();
   if (name == "bilateral") return std::make_unique<BilateralFilter>();
+  if (name == "nlm") return std::make_unique<NlmFilter>();
+  if (name == "welch") return std::make_unique<WelchFilter>();
   if (name == "geometric") return std::make_unique<GeometricFilter>();
   if (name == "none") return std::make_unique<NoneFilter>();
   return absl::InvalidArgumentError(

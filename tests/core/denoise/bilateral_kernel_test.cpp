@@ -13,9 +13,9 @@ namespace {
 constexpr PixelRect kFrame{0, 0, 12, 12};
 constexpr int kRadiusPx = 2;
 
-KernelOutput RunKernel(const FramePlanes& planes) {
+FilteredHalves RunKernel(const FramePlanes& planes) {
   const KernelInput input(kFrame.Expand(kRadiusPx + kPatchRadiusPx), kFrame, planes);
-  KernelOutput out(kFrame);
+  FilteredHalves out(kFrame);
   RunBilateralKernel(input, kRadiusPx, &out);
   return out;
 }
@@ -49,7 +49,7 @@ FramePlanes Flat(float variance) {
 }
 
 TEST(BilateralKernel, EqualPixelsDifferByTheirDistanceAlone) {
-  const KernelOutput out = RunKernel(Flat(0.01f));
+  const FilteredHalves out = RunKernel(Flat(0.01f));
   EXPECT_NEAR(out.variance_factor[0][kFrame.IndexOf(6, 6)], FactorOf({-2, -2, 3, 3}), 1e-6f);
   EXPECT_NEAR(out.variance_factor[1][kFrame.IndexOf(0, 0)], FactorOf({0, 0, 3, 3}), 1e-6f);
   EXPECT_NEAR(out.color[0][0][kFrame.IndexOf(0, 6)], 0.5f, 1e-6f);
@@ -59,7 +59,7 @@ TEST(BilateralKernel, WeightsComeFromTheOtherHalf) {
   FramePlanes planes = Flat(1e-4f);
   const int64_t spike = kFrame.IndexOf(6, 6), beside = kFrame.IndexOf(7, 6);
   planes.color_half[0][0][spike] = 100;  // far beyond its noise, in half A alone
-  const KernelOutput out = RunKernel(planes);
+  const FilteredHalves out = RunKernel(planes);
   // A is averaged with weights from B, which knows nothing of the spike; B's weights see it.
   EXPECT_GT(out.color[0][0][beside], 4.0f);
   EXPECT_NEAR(out.variance_factor[0][spike], FactorOf({-2, -2, 3, 3}), 1e-6f);
@@ -78,19 +78,19 @@ TEST(BilateralKernel, FeaturesSeparateWhatColorDoesNot) {
     }
   }
   for (const FramePlanes& planes : {deeper, darker, turned}) {
-    const KernelOutput out = RunKernel(planes);
+    const FilteredHalves out = RunKernel(planes);
     EXPECT_NEAR(out.variance_factor[0][kFrame.IndexOf(6, 6)], FactorOf({0, -2, 3, 3}), 1e-6f);
   }
 }
 
 TEST(BilateralKernel, FeaturesThatAreAllNoiseDoNotSeparate) {
   FramePlanes planes = Flat(0.01f);
-  const KernelOutput before = RunKernel(planes);
+  const FilteredHalves before = RunKernel(planes);
   for (int64_t i = 0; i < kFrame.area(); ++i) {
     planes.depth[i] = static_cast<float>(1 + i % 2);
     planes.depth_variance[i] = std::numeric_limits<float>::infinity();
   }
-  const KernelOutput out = RunKernel(planes);
+  const FilteredHalves out = RunKernel(planes);
   EXPECT_EQ(out.variance_factor[0], before.variance_factor[0]);
 }
 
@@ -99,7 +99,7 @@ TEST(BilateralKernel, PixelsWithoutBothHalvesKeepTheirColorAndLendNothing) {
   const int64_t unknown = kFrame.IndexOf(6, 6), beside = kFrame.IndexOf(7, 6);
   planes.samples[unknown] = 1;
   for (int c = 0; c < 3; ++c) planes.color_half[0][c][unknown] = 50;
-  const KernelOutput out = RunKernel(planes);
+  const FilteredHalves out = RunKernel(planes);
   EXPECT_EQ(out.color[0][0][unknown], 50);
   EXPECT_EQ(out.variance_factor[0][unknown], 1);
   EXPECT_NEAR(out.color[0][0][beside], 0.5f, 1e-6f);

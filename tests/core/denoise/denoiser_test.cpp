@@ -21,7 +21,7 @@ TEST(MakeDenoiser, MakesEachByItsName) {
 TEST(MakeDenoiser, ListsTheNamesWhenAskedForAnother) {
   const absl::Status status = MakeDenoiser("optix").status();
   EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_THAT(std::string(status.message()), HasSubstr("bilateral, geometric, none"));
+  EXPECT_THAT(std::string(status.message()), HasSubstr("bilateral, nlm, welch, geometric, none"));
 }
 
 }  // namespace
