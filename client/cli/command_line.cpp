@@ -109,6 +109,25 @@ void AddJobFlags(CLI::App* command, JobFlags* flags, bool names_job) {
   AddConnectFlags(command, &flags->connect);
 }
 
+void AddHalvesFlags(CLI::App* command, HalvesFlags* flags) {
+  const auto add = [command](const std::string& name, std::string* value, const std::string& text) {
+    command->add_option(name, *value, text)->group("Halves of any renderer");
+  };
+  add("--half-a", &flags->half_a, "A.exr: R,G,B of half the samples");
+  add("--half-b", &flags->half_b, "B.exr: the same with another seed");
+  add("--variance", &flags->variance, "Variance of the mean of both (R,G,B)");
+  add("--spp", &flags->spp, "Samples of a pixel in both halves together");
+  const auto add_feature = [&add](const std::string& name, FeatureFlags* feature,
+                                  const std::string& text) {
+    add("--" + name, &feature->file, text + ": of all samples, or of half A");
+    add("--" + name + "-b", &feature->file_b, "The same of half B");
+    add("--" + name + "-variance", &feature->variance, "Variance of its mean over all samples");
+  };
+  add_feature("albedo", &flags->albedo, "Albedo (R,G,B)");
+  add_feature("normal", &flags->normal, "Shading normal (X,Y,Z or R,G,B)");
+  add_feature("depth", &flags->depth, "Distance along the ray (Z, Y or one channel)");
+}
+
 // All flags of all commands, and which command was chosen.
 class CommandTable {
  public:
@@ -190,6 +209,7 @@ class CommandTable {
                             [this] { return RunDenoise(denoise_); });
     denoise->add_option("film", denoise_.inputs, "FILM.exr, or HALF_A.exr HALF_B.exr")
         ->expected(1, 2);
+    AddHalvesFlags(denoise, &denoise_.halves);
     denoise->add_option("--denoiser", denoise_.denoiser, DenoiserHelp());
     denoise->add_option("--quality", denoise_.quality, "preview or final (final)");
     denoise

@@ -1,4 +1,4 @@
-// tessera denoise FILM.exr -o OUT.exr: filters a film again.
+// tessera denoise FILM.exr -o OUT.exr: filters a film again, or two halves of any renderer.
 #include <sys/resource.h>
 
 #include <algorithm>
@@ -112,9 +112,6 @@ class Stopwatch {
 
 absl::Status RunDenoise(const DenoiseFlags& flags) {
   if (flags.list) return ListDenoisers(flags.json);
-  if (flags.inputs.empty()) {
-    return absl::InvalidArgumentError("no film: give FILM.exr, or HALF_A.exr HALF_B.exr");
-  }
   const absl::StatusOr<OutputPlan> plan = PlanOutputs(flags.output);
   if (!plan.ok()) return plan.status();
   const absl::StatusOr<DenoiseQuality> quality = ParseQuality(flags.quality);
@@ -127,7 +124,7 @@ absl::Status RunDenoise(const DenoiseFlags& flags) {
   }
   const absl::Status set = SetOptions(flags.options, denoiser->get());
   if (!set.ok()) return set;
-  absl::StatusOr<DenoiseInput> input = ReadDenoiseInput(flags.inputs);
+  absl::StatusOr<DenoiseInput> input = ReadDenoiseInput(flags.inputs, flags.halves);
   if (!input.ok()) return input.status();
   if (plan->film && input->film.nodes.empty()) {
     return absl::InvalidArgumentError(
@@ -136,6 +133,7 @@ absl::Status RunDenoise(const DenoiseFlags& flags) {
   const std::string name((*denoiser)->name());
   input->metadata["denoiser"] = name;
   const int threads = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  for (const std::string& note : input->notes) std::fprintf(stderr, "%s\n", note.c_str());
   const Stopwatch stopwatch;
   CalibrateVariance(input->planes.bounds, &input->planes);
   const FilteredPlanes filtered = DenoiseFrame(**denoiser, input->planes, *quality, threads);
@@ -152,6 +150,7 @@ absl::Status RunDenoise(const DenoiseFlags& flags) {
                {"height", input->planes.bounds.height()},
                {"seconds", {{"filter", filter_seconds}}},
                {"cpu_seconds", {{"filter", filter_cpu_seconds}}},
+               {"notes", input->notes},
                {"outputs", paths}});
   } else {
     for (const std::string& path : paths) std::printf("%s\n", path.c_str());

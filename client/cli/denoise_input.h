@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "client/cli/flags.h"
 #include "core/film/frame_planes.h"
 #include "core/image/film_file.h"
 
@@ -15,12 +16,13 @@ struct DenoiseInput {
   PixelRect frame;
   bool transparent = false;
   Metadata metadata;
-  FilmFile film;  // without nodes for two halves
+  FilmFile film;                   // without nodes for two halves
+  std::vector<std::string> notes;  // what was found, estimated or done without; for people
 };
 
-// One path: a film file. Two: pictures of one frame with independent noise and equally many
-// samples, with R, G, B and, if there, albedo, normal and Z.
-// Errors: INVALID_ARGUMENT, NOT_FOUND; naming the file and the remedy.
-absl::StatusOr<DenoiseInput> ReadDenoiseInput(const std::vector<std::string>& paths);
+// One film, or two halves: as two paths, or by flags with what comes with them (half_images.h).
+// Errors: INVALID_ARGUMENT, NOT_FOUND; naming the flag or file and the remedy.
+absl::StatusOr<DenoiseInput> ReadDenoiseInput(const std::vector<std::string>& films,
+                                              const HalvesFlags& given);
 
 }  // namespace tessera

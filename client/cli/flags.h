@@ -77,8 +77,27 @@ struct FetchFlags {
   bool json = false;
 };
 
+// A feature of two halves: one file, or half A's and half B's; the variance of its mean.
+struct FeatureFlags {
+  std::string file{};
+  std::string file_b{};
+  std::string variance{};
+};
+
+// Two halves of any renderer and what comes with them.
+struct HalvesFlags {
+  std::string half_a{};
+  std::string half_b{};
+  std::string variance{};
+  std::string spp{};
+  FeatureFlags albedo{};
+  FeatureFlags normal{};
+  FeatureFlags depth{};
+};
+
 struct DenoiseFlags {
   std::vector<std::string> inputs;
+  HalvesFlags halves;
   std::string denoiser;
   std::string quality;
   std::vector<std::string> options;  // NAME=VALUE
