@@ -48,12 +48,13 @@ def environment_path(view, scene: pathlib.Path) -> pathlib.Path:
 
 
 class Tessera:
-    """`tessera render`, raw."""
+    """`tessera render`, raw, with the layers that are asked for."""
 
     name = "tessera"
 
-    def __init__(self, program: pathlib.Path):
+    def __init__(self, program: pathlib.Path, layers: str = "all"):
         self._program = str(program)
+        self._layers = layers
 
     def render(self, view, scene: pathlib.Path, frame: Frame, spp: int, seed: int,
                out: pathlib.Path) -> float:
@@ -61,7 +62,7 @@ class Tessera:
         command = [self._program, "render", str(scene), "-o", str(out), "--denoiser", "none",
                    "--size", f"{frame.width}x{frame.height}", "--spp", str(spp), "--seed",
                    str(seed), "--threads", str(frame.threads), "--max-depth",
-                   str(frame.max_depth), "--quiet"]
+                   str(frame.max_depth), "--layers", self._layers, "--quiet"]
         if view.position:
             for flag, v in (("--look-from", view.position), ("--look-at", view.target)):
                 command += [flag, ",".join(map(str, v))]
