@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Every filter on the project's own renders: equivalent-sample multipliers and seconds a megapixel.
+"""Every filter on the project's own renders: equivalent-sample multipliers and CPU seconds a megapixel.
 
     bench/compare_denoisers.py --build build/release --out OUTPUT_FOLDER [--scenes FOLDER]
         [--views kitchen,bunny,...] [--size 160x90] [--spp 4,16,64,256,1024]
@@ -14,6 +14,8 @@ that has changed. --scenes is the folder with apartment.glb, bunny.glb, ...; wit
 project's own scenes alone are measured. PROGRAM runs Intel Open Image Denoise's network:
 
     PROGRAM WEIGHTS.tza COLOR.exr [ALBEDO.exr NORMAL.exr] OUT.exr [--mode alb|nrm]
+
+and prints "cpu_ms NUMBER".
 
 "base" filters colour with the noisy albedo and normal, "hq" filters those first and uses the large
 network. Needs python3-numpy and python3-openimageio.
@@ -66,11 +68,11 @@ class Own:
     program: pathlib.Path
 
     def filter(self, film: pathlib.Path, out: pathlib.Path) -> float:
-        """Writes `out`; returns the filter's seconds."""
+        """Writes `out`; returns the filter's CPU seconds."""
         text = subprocess.run([self.program, "denoise", film, "-o", out, "--layers", "final",
                                "--denoiser", self.name, "--json"],
                               check=True, capture_output=True, text=True).stdout
-        return json.loads(text)["seconds"]["filter"]
+        return json.loads(text)["cpu_seconds"]["filter"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,11 +87,11 @@ class Oidn:
     def _run(self, weights: str, *arguments) -> float:
         text = subprocess.run([self.program, self.weights / (weights + ".tza"), *arguments],
                               check=True, capture_output=True, text=True)
-        seconds = re.search(r"([0-9.]+) s\b", text.stdout + text.stderr)
-        return float(seconds.group(1)) if seconds else float("nan")
+        milliseconds = re.search(r"cpu_ms ([0-9.]+)", text.stdout)
+        return float(milliseconds.group(1)) / 1e3 if milliseconds else float("nan")
 
     def filter(self, film: pathlib.Path, out: pathlib.Path) -> float:
-        """Writes `out`; returns the network's seconds."""
+        """Writes `out`; returns the network's CPU seconds."""
         color, albedo, normal = split_layers(self.tessera, film)
         if self.name == "OIDN base":
             return self._run("rt_hdr_alb_nrm", color, albedo, normal, out)
@@ -111,7 +113,8 @@ def split_layers(tessera: pathlib.Path, film: pathlib.Path) -> list[pathlib.Path
     names = list(picture.spec().channelnames)
     pixels = picture.get_pixels(oiio.FLOAT)
     for part, prefix, letters in zip(parts, ("", "albedo.", "normal."), ("RGB", "RGB", "XYZ")):
-        planes = pixels[:, :, [names.index(prefix + letter) for letter in letters]]
+        planes = numpy.ascontiguousarray(
+            pixels[:, :, [names.index(prefix + letter) for letter in letters]])
         spec = oiio.ImageSpec(planes.shape[1], planes.shape[0], 3, oiio.FLOAT)
         spec.channelnames = ("R", "G", "B")
         file = oiio.ImageOutput.create(str(part))
@@ -235,7 +238,7 @@ def print_cost(args, filters: list) -> None:
     films = Films(view, args, args.timing_size)
     film = films.film(TIMING_SPP)
     width, height = map(int, args.timing_size.split("x"))
-    print(f"\nSeconds a megapixel, {args.timing_size}, the best of three, all cores:")
+    print(f"\nCPU seconds (all threads) a megapixel, {args.timing_size}, the best of three:")
     for member in filters:
         out = films.folder / "timed.exr"
         seconds = min(member.filter(film, out) for _ in range(3))

@@ -172,8 +172,8 @@ PlaneSet Pool(PlaneSet planes, const PixelRect& bounds) {
   return planes;
 }
 
-// Replaces `variance` by `given`; but where that is unknown and `has_halves`, what the difference of
-// the halves has put there stays.
+// Replaces `variance` by `given`; but where that is unknown and `has_halves`, what the difference
+// of the halves has put there stays.
 void TakeKnown(PlaneSet given, bool has_halves, PlaneSet* variance) {
   for (size_t c = 0; c < given.size(); ++c) {
     for (size_t i = 0; i < given[c].size(); ++i) {
@@ -269,8 +269,8 @@ absl::Status Reader::ReadSpp() {
   } else {
     for (const NamedImage& half : halves_) {
       const auto found = half.image.metadata.find("spp");
-      const double* value = found == half.image.metadata.end() ? nullptr
-                                                               : std::get_if<double>(&found->second);
+      const bool is_there = found != half.image.metadata.end();
+      const double* value = is_there ? std::get_if<double>(&found->second) : nullptr;
       const bool is_usable = value != nullptr && *value >= 1 && *value < double{kSppMax} / 2;
       if (!is_usable) {
         spp = 0;
@@ -281,8 +281,8 @@ absl::Status Reader::ReadSpp() {
   }
   if (spp == 0) {
     spp = 2;
-    Note("samples: not known (--spp N, of both halves together); the intervals allow for the least, "
-         "2");
+    Note("samples: not known (--spp N, of both halves together); the intervals allow for the "
+         "least, 2");
   }
   std::ranges::fill(input_.planes.samples, static_cast<uint32_t>(spp));
   return absl::OkStatus();

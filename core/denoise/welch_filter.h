@@ -1,5 +1,5 @@
-// A joint bilateral filter whose neighbours must pass a statistical test, a baseline: Sakai, Freude,
-// Auzinger, Hahn & Wimmer 2024, "A statistical approach to Monte Carlo denoising".
+// A joint bilateral filter whose neighbours must pass a statistical test, a baseline: Sakai,
+// Freude, Auzinger, Hahn & Wimmer 2024, "A statistical approach to Monte Carlo denoising".
 #pragma once
 
 #include "core/denoise/denoiser.h"
