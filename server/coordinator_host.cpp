@@ -1,6 +1,7 @@
 #include "server/coordinator_host.h"
 
 #include <chrono>
+#include <utility>
 
 namespace tessera {
 
@@ -11,12 +12,13 @@ Instant Now() {
           duration_cast<milliseconds>(std::chrono::system_clock::now().time_since_epoch()).count()};
 }
 
-CoordinatorHost::CoordinatorHost(CoordinatorConfig config, EffectSink& sink)
-    : coordinator_(std::move(config)), sink_(sink) {}
+CoordinatorHost::CoordinatorHost(CoordinatorConfig config, EffectSink& sink,
+                                 std::function<Instant()> clock)
+    : coordinator_(std::move(config)), sink_(sink), clock_(std::move(clock)) {}
 
 CoordinatorHost::Answer CoordinatorHost::Post(Event event) {
   std::lock_guard lock(mu_);
-  const StepResult result = coordinator_.Step(std::move(event), Now());
+  const StepResult result = coordinator_.Step(std::move(event), clock_());
   for (const Effect& effect : result.effects) sink_.Apply(effect);
   return {result.status, result.job, result.is_new};
 }

@@ -1,6 +1,7 @@
 // Runs a Coordinator for many threads: one lock, the clock, and effects handed on in order.
 #pragma once
 
+#include <functional>
 #include <mutex>
 #include <utility>
 #include <vector>
@@ -23,7 +24,8 @@ Instant Now();
 class CoordinatorHost {
  public:
   // `sink` must outlive the host's last Post.
-  CoordinatorHost(CoordinatorConfig config, EffectSink& sink);
+  CoordinatorHost(CoordinatorConfig config, EffectSink& sink,
+                  std::function<Instant()> clock = Now);
 
   struct Answer {
     absl::Status status;
@@ -43,6 +45,7 @@ class CoordinatorHost {
   mutable std::mutex mu_;
   Coordinator coordinator_;  // guarded by mu_
   EffectSink& sink_;
+  const std::function<Instant()> clock_;
 };
 
 }  // namespace tessera

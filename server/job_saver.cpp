@@ -18,8 +18,9 @@ bool HasEnded(const v1::Job& job) {
 
 }  // namespace
 
-JobSaver::JobSaver(Catalogue* catalogue, FilmStore* films, AssetStore* assets)
-    : catalogue_(catalogue), films_(films), assets_(assets) {}
+JobSaver::JobSaver(RowStorage* catalogue, const FilmStorage* films, AssetStore* assets,
+                   std::function<Clock::time_point()> now)
+    : catalogue_(catalogue), films_(films), assets_(assets), now_(std::move(now)) {}
 
 JobSaver::~JobSaver() { Stop(); }
 
@@ -45,12 +46,10 @@ absl::Status JobSaver::SaveNow(JobId job) {
   if (catalogue_ == nullptr) return absl::OkStatus();
   absl::StatusOr<Snapshot> snapshot = Read(job);
   if (!snapshot.ok()) return absl::OkStatus();
-  if (HasEnded(snapshot->record) && snapshot->record.progress().samples() > 0) {
-    // Its end is for the thread to write, after the film. A job that is not known at all yet (one
-    // that began with a whole film) is written as one that is about to end.
-    const absl::StatusOr<bool> is_known = catalogue_->Has(job);
-    if (!is_known.ok()) return is_known.status();
-    if (*is_known) return absl::OkStatus();
+  if (HasEnded(snapshot->record) && snapshot->film != nullptr &&
+      snapshot->record.progress().samples() > 0) {
+    // Its end is for the thread to write, after the film. Until then it is one that is about to
+    // end: an older row may know nothing of what ended it, such as a cancellation.
     snapshot->record.set_state(v1::JOB_STATE_FINISHING);
     snapshot->record.clear_end_time();
     snapshot->record.clear_digest();
@@ -78,15 +77,34 @@ void JobSaver::Stop() {
   }
 }
 
+JobSaver::Pending::iterator JobSaver::NextLocked() {
+  return std::ranges::min_element(pending_, {},
+                                  [](const auto& item) { return item.second.not_before; });
+}
+
+bool JobSaver::WriteDue() {
+  JobId job = 0;
+  Request request;
+  {
+    std::lock_guard lock(mu_);
+    const auto next = NextLocked();
+    if (next == pending_.end() || next->second.not_before > now_()) return false;
+    job = next->first;
+    request = next->second;
+    pending_.erase(next);
+  }
+  Write(job, request);
+  return true;
+}
+
 bool JobSaver::Next(JobId* job, Request* request) {
   std::unique_lock lock(mu_);
   while (true) {
-    const auto next = std::ranges::min_element(
-        pending_, {}, [](const auto& item) { return item.second.not_before; });
+    const auto next = NextLocked();
     if (next == pending_.end()) {
       if (stopping_) return false;
       wake_.wait(lock);
-    } else if (stopping_ || next->second.not_before <= Clock::now()) {
+    } else if (stopping_ || next->second.not_before <= now_()) {
       *job = next->first;
       *request = next->second;
       pending_.erase(next);
@@ -120,12 +138,12 @@ absl::StatusOr<JobSaver::Snapshot> JobSaver::Read(JobId job) const {
 absl::Status JobSaver::WriteRecord(JobId job, const Snapshot& snapshot) {
   std::lock_guard lock(record_mu_);
   const bool exists = host_->Read([&](const Coordinator& c) { return c.GetJob(job).ok(); });
-  const uint64_t counter = snapshot.record.revision().counter();
+  const std::pair state{snapshot.record.revision().counter(), HasEnded(snapshot.record)};
   const auto last = recorded_.find(job);
-  if (!exists || (last != recorded_.end() && last->second > counter)) return absl::OkStatus();
+  if (!exists || (last != recorded_.end() && last->second > state)) return absl::OkStatus();
   absl::Status status =
       catalogue_->Put({job, snapshot.request_id, snapshot.record.SerializeAsString()});
-  if (status.ok()) recorded_[job] = counter;
+  if (status.ok()) recorded_[job] = state;
   return status;
 }
 
@@ -138,7 +156,7 @@ absl::Status JobSaver::RemoveRow(JobId job) {
 absl::Status JobSaver::WriteFilm(JobId job, const Film& film) {
   return films_->Save(job, film.grid().num_tiles(), [&](int64_t tile) {
     return host_->Read([&](const Coordinator& c) {
-      return FilmStore::Tile{film.Nodes(tile), c.CostOf(job, tile)};
+      return FilmStorage::Tile{film.Nodes(tile), c.CostOf(job, tile)};
     });
   });
 }
@@ -173,7 +191,7 @@ void JobSaver::Write(JobId job, Request request) {
   Request& again = pending_[job];
   again.film |= request.film;
   again.remove |= request.remove;
-  again.not_before = Clock::now() + kRetryAfter;
+  again.not_before = now_() + kRetryAfter;
 }
 
 }  // namespace tessera

@@ -4,15 +4,16 @@
 
 #include <chrono>
 #include <condition_variable>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <thread>
+#include <utility>
 
 #include "absl/status/status.h"
 #include "server/coordinator_host.h"
 #include "server/store/asset_store.h"
-#include "server/store/catalogue.h"
-#include "server/store/film_store.h"
+#include "server/store/job_storage.h"
 
 namespace tessera {
 
@@ -21,16 +22,24 @@ namespace tessera {
 // Threads: all methods from any thread.
 class JobSaver {
  public:
+  using Clock = std::chrono::steady_clock;
+
   // catalogue, films: null when nothing is kept. All must outlive the saver; `host` is set later.
-  JobSaver(Catalogue* catalogue, FilmStore* films, AssetStore* assets);
+  JobSaver(RowStorage* catalogue, const FilmStorage* films, AssetStore* assets,
+           std::function<Clock::time_point()> now = Clock::now);
   ~JobSaver();  // Stop
 
-  // Effects; never block. Nothing is written before Start.
+  // Effects; never block. Nothing is written before Start or WriteDue.
   void Save(JobId job, bool with_film);
   void Remove(JobId job);
 
+  // With a thread that writes, or for a caller that does so himself, by WriteDue.
   void Start(CoordinatorHost* host);
-  // The job is in the catalogue when it returns; its latest state too, unless that needs the film.
+  void Attach(CoordinatorHost* host) { host_ = host; }
+  // Writes one job that is due, if there is one; returns whether there was.
+  bool WriteDue();
+  // The job's latest state is in the catalogue when it returns; of a job that has ended and whose
+  // film is still to be written, that it is about to end.
   absl::Status SaveNow(JobId job);
   // The job, which the coordinator has removed, is out of the catalogue when it returns.
   absl::Status RemoveNow(JobId job);
@@ -38,7 +47,6 @@ class JobSaver {
   void Stop();
 
  private:
-  using Clock = std::chrono::steady_clock;
   struct Request {
     bool film = false;
     bool remove = false;
@@ -50,7 +58,10 @@ class JobSaver {
     std::string request_id;
     std::shared_ptr<const Film> film;  // null when it is on disk only
   };
+  using Pending = std::map<JobId, Request>;
+
   void Run();
+  Pending::iterator NextLocked();  // what is due first
   // Waits until something is to be written, and takes it; false: stop.
   bool Next(JobId* job, Request* request);
   // Writes, and asks for it again later if that fails.
@@ -61,17 +72,19 @@ class JobSaver {
   absl::Status WriteRecord(JobId job, const Snapshot& snapshot);
   absl::Status RemoveRow(JobId job);
 
-  Catalogue* const catalogue_;
-  FilmStore* const films_;
+  RowStorage* const catalogue_;
+  const FilmStorage* const films_;
   AssetStore* const assets_;
-  CoordinatorHost* host_ = nullptr;  // constant after Start
+  const std::function<Clock::time_point()> now_;
+  CoordinatorHost* host_ = nullptr;  // constant after Start or Attach
 
   std::mutex record_mu_;                // held while a row is written; guards recorded_
-  std::map<JobId, uint64_t> recorded_;  // revision counter of the row that was written last
+  // Of the row that was written last: its revision's counter, and whether it says that all is over.
+  std::map<JobId, std::pair<uint64_t, bool>> recorded_;
 
   std::mutex mu_;  // guards all below
   std::condition_variable wake_;
-  std::map<JobId, Request> pending_;
+  Pending pending_;
   bool stopping_ = false;
   std::thread thread_;
 };

@@ -28,7 +28,7 @@ absl::StatusOr<v1::Job> ParseRecord(const CatalogueRow& row, const SettingsDefau
   return job;
 }
 
-void LoadFilm(JobId id, const FilmStore& films, RestoreJobEvent* event) {
+void LoadFilm(JobId id, const FilmStorage& films, RestoreJobEvent* event) {
   const v1::JobSettings& settings = event->job.settings();
   const int64_t samples = event->job.progress().samples();
   absl::StatusOr<StoredFilm> stored =
@@ -46,7 +46,7 @@ void LoadFilm(JobId id, const FilmStore& films, RestoreJobEvent* event) {
 
 }  // namespace
 
-absl::Status RestoreJobs(Catalogue& catalogue, const FilmStore& films, AssetStore& assets,
+absl::Status RestoreJobs(RowStorage& catalogue, const FilmStorage& films, AssetStore& assets,
                          const SettingsDefaults& defaults, CoordinatorHost& host) {
   absl::StatusOr<std::vector<CatalogueRow>> rows = catalogue.ReadAll();
   if (!rows.ok()) return rows.status();

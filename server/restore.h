@@ -4,8 +4,7 @@
 #include "absl/status/status.h"
 #include "server/coordinator_host.h"
 #include "server/store/asset_store.h"
-#include "server/store/catalogue.h"
-#include "server/store/film_store.h"
+#include "server/store/job_storage.h"
 
 namespace tessera {
 
@@ -14,7 +13,7 @@ namespace tessera {
 // whose record is damaged is left out (its row and its film stay), one without its film renders its
 // samples again, one without its assets fails. Removes films that belong to no row.
 // Errors: the catalogue's.
-absl::Status RestoreJobs(Catalogue& catalogue, const FilmStore& films, AssetStore& assets,
+absl::Status RestoreJobs(RowStorage& catalogue, const FilmStorage& films, AssetStore& assets,
                          const SettingsDefaults& defaults, CoordinatorHost& host);
 
 }  // namespace tessera

@@ -24,7 +24,9 @@
 #include "server/rpc/watch_hub.h"
 #include "server/rpc/worker_service.h"
 #include "server/rpc/worker_sessions.h"
+#include "server/store/catalogue.h"
 #include "server/store/data_dir.h"
+#include "server/store/film_store.h"
 
 namespace tessera {
 namespace {

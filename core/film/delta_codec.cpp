@@ -361,6 +361,17 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
   return {encoding, std::move(payload), static_cast<int64_t>(packed_bytes)};
 }
 
+uint64_t DeltaChecksum(const DeltaKey& key, std::string_view payload) {
+  const std::array<int64_t, 10> numbers = {
+      static_cast<int64_t>(key.lease_id), key.tile_index,   key.window.x_begin, key.window.y_begin,
+      key.window.x_end,                   key.window.y_end, key.range.begin,    key.range.end,
+      key.feature_end,                    key.rays};
+  std::string bytes(reinterpret_cast<const char*>(numbers.data()), sizeof(numbers));
+  bytes += key.job;
+  bytes += payload.substr(payload.size() - std::min(payload.size(), kChecksumBytes));
+  return XXH64(bytes.data(), bytes.size(), 0);
+}
+
 absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
                                            int64_t feature_end, uint32_t encoding,
                                            std::string_view payload) {

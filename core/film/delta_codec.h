@@ -31,6 +31,21 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
                                            int64_t feature_end, uint32_t encoding,
                                            std::string_view payload);
 
+// What a delta says of itself beside its payload.
+struct DeltaKey {
+  uint64_t lease_id = 0;
+  std::string_view job;
+  int64_t tile_index = 0;
+  PixelRect window;
+  SampleRange range;
+  int64_t feature_end = 0;
+  int64_t rays = 0;
+};
+// Binds a payload to its key, so that a damaged key cannot pass it off as other samples: XXH64,
+// seed 0, of the key's numbers (8 bytes each, little-endian, in the order above; the window as
+// x_begin, y_begin, x_end, y_end), the job's name and the payload's own checksum, its last 8 bytes.
+uint64_t DeltaChecksum(const DeltaKey& key, std::string_view payload);
+
 // INVALID_ARGUMENT for what no film's arithmetic survives or no renderer can have sent; what
 // DecodeDelta asks last, and readers of film files too.
 absl::Status ValidateStatistics(const TileStatistics& tile);

@@ -100,6 +100,15 @@ std::vector<v1::Worker> Coordinator::ListWorkers(Instant now) const {
   return workers;
 }
 
+std::vector<Coordinator::LeaseView> Coordinator::ListLeases() const {
+  std::vector<LeaseView> leases;
+  leases.reserve(leases_.size());
+  for (const auto& [id, lease] : leases_) {
+    leases.push_back({id, lease.session, lease.job, lease.unit, lease.expires_ms, lease.is_race});
+  }
+  return leases;
+}
+
 std::shared_ptr<const Film> Coordinator::FilmOf(JobId id) const {
   const auto it = jobs_.find(id);
   if (it == jobs_.end() || (it->second->film_final_stored && it->second->IsTerminal())) {

@@ -55,6 +55,16 @@ class Coordinator {
   std::vector<v1::Job> ListJobs(JobId after, size_t limit, size_t bytes_max = SIZE_MAX) const;
   std::vector<v1::Worker> ListWorkers(Instant now) const;
 
+  struct LeaseView {
+    LeaseId id = 0;
+    SessionId session = 0;
+    JobId job = 0;
+    Unit unit;
+    int64_t expires_ms = 0;  // monotonic
+    bool is_race = false;    // of a unit that another session has, too
+  };
+  std::vector<LeaseView> ListLeases() const;
+
   // The job's film; null if the job does not exist, or has ended and its film is on disk only. Read
   // it only where Step cannot run, or after FinishJobEffect.
   std::shared_ptr<const Film> FilmOf(JobId job) const;
@@ -74,6 +84,7 @@ class Coordinator {
     Unit unit;
     int64_t issued_ms = 0;
     int64_t expires_ms = 0;
+    bool is_race = false;
   };
   struct RequestRecord {
     std::string kind;

@@ -345,6 +345,7 @@ absl::Status Coordinator::Cancel(Job& job) {
   StopWork(job);
   job.film->DropWaiting();
   CountFilm(job);
+  UpdateProgress(job);
   if (job.film->samples() > 0) {
     Finish(job, v1::STOP_REASON_CANCELLED);
     return absl::OkStatus();

@@ -120,7 +120,9 @@ void Coordinator::On(DeclineEvent& event) {
   if (it == leases_.end() || it->second.session != event.session) return;
   const JobId id = it->second.job;
   Job& job = *jobs_.at(id);
-  if (decline.reason() != v1::DeclineLease::REASON_DRAINING) {
+  if (decline.reason() == v1::DeclineLease::REASON_UNKNOWN_JOB) worker->known_jobs.erase(id);
+  if (decline.reason() != v1::DeclineLease::REASON_DRAINING &&
+      decline.reason() != v1::DeclineLease::REASON_UNKNOWN_JOB) {
     job.last_decline = CutText(decline.detail(), kErrorBytesMax);
     if (decline.reason() == v1::DeclineLease::REASON_MEMORY) {
       job.memory_short_bytes = std::max(job.memory_short_bytes, worker->hello.memory_bytes());
@@ -276,6 +278,7 @@ bool Coordinator::Race(Worker& worker) {
   }
   if (oldest == nullptr) return false;
   Grant(worker, *jobs_.at(oldest->job), Unit(oldest->unit));
+  leases_.rbegin()->second.is_race = true;
   return true;
 }
 

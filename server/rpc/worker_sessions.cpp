@@ -6,9 +6,7 @@
 #include <grpcpp/server_context.h>
 
 #include "absl/strings/str_cat.h"
-#include "core/film/delta_codec.h"
-#include "server/coordinator/job_settings.h"
-#include "server/coordinator/limits.h"
+#include "server/coordinator/worker_message.h"
 #include "server/coordinator_host.h"
 #include "server/log.h"
 #include "server/rpc/rpc_status.h"
@@ -18,29 +16,6 @@ namespace {
 
 constexpr size_t kQueuedMessagesMax = 16384;  // towards one worker that does not read
 constexpr int64_t kEndGraceMs = 2000;  // in which an ending stream's last message may go out
-
-// Decodes the delta's payload. Errors: INVALID_ARGUMENT.
-absl::StatusOr<DeltaEvent> DecodeEvent(SessionId session, v1::TileDelta* delta) {
-  const v1::Region& window = delta->window();
-  const SampleRange range{delta->sample_begin(), delta->sample_end()};
-  if (window.width() < 1 || window.height() < 1 || window.width() > kTileSizeMaxPx ||
-      window.height() > kTileSizeMaxPx || window.x() < 0 || window.y() < 0 ||
-      window.x() > kFrameSideMaxPx || window.y() > kFrameSideMaxPx) {
-    return absl::InvalidArgumentError("delta: window is impossible");
-  }
-  if (range.begin < 0 || range.end > kSppMax || !range.IsNode()) {
-    return absl::InvalidArgumentError("delta: the sample range is no aligned power of two");
-  }
-  DeltaEvent event{.session = session};
-  event.wire_bytes = static_cast<int64_t>(delta->ByteSizeLong());
-  absl::StatusOr<TileStatistics> tile =
-      DecodeDelta(RectOf(window), range, delta->feature_end(), delta->encoding(), delta->payload());
-  if (!tile.ok()) return tile.status();
-  event.tile = *std::move(tile);
-  delta->clear_payload();
-  event.delta = std::move(*delta);
-  return event;
-}
 
 }  // namespace
 
@@ -114,40 +89,15 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
     if (greeted_ != (message.message_case() != v1::WorkerMessage::kHello)) {
       return absl::InvalidArgumentError("the first message, and no other, must be hello");
     }
-    switch (message.message_case()) {
-      case v1::WorkerMessage::kHello: {
-        greeted_ = true;
-        const v1::Hello& hello = message.hello();
-        ServerLog().info("session={} worker connected host={} process={} threads={}", session_,
-                     hello.host().substr(0, 256), hello.process_id(), hello.threads());
-        sessions_->post_(WorkerConnectedEvent{session_, hello});
-        break;
-      }
-      case v1::WorkerMessage::kDelta: {
-        absl::StatusOr<DeltaEvent> event = DecodeEvent(session_, message.mutable_delta());
-        if (!event.ok()) return event.status();
-        sessions_->post_(*std::move(event));
-        break;
-      }
-      case v1::WorkerMessage::kHeartbeat:
-        sessions_->post_(HeartbeatEvent{
-            session_, {message.heartbeat().leases().begin(), message.heartbeat().leases().end()}});
-        break;
-      case v1::WorkerMessage::kDecline:
-        sessions_->post_(DeclineEvent{session_, message.decline()});
-        break;
-      case v1::WorkerMessage::kSceneReady:
-        sessions_->post_(SceneReadyEvent{session_, message.scene_ready()});
-        break;
-      case v1::WorkerMessage::kSceneFailure:
-        sessions_->post_(SceneFailureEvent{session_, message.scene_failure()});
-        break;
-      case v1::WorkerMessage::kDrain:
-        sessions_->post_(DrainEvent{session_});
-        break;
-      case v1::WorkerMessage::MESSAGE_NOT_SET:
-        return absl::InvalidArgumentError("an empty message, or one of another version");
+    if (message.has_hello()) {
+      greeted_ = true;
+      const v1::Hello& hello = message.hello();
+      ServerLog().info("session={} worker connected host={} process={} threads={}", session_,
+                       hello.host().substr(0, 256), hello.process_id(), hello.threads());
     }
+    absl::StatusOr<Event> event = EventOf(session_, message);
+    if (!event.ok()) return event.status();
+    sessions_->post_(*std::move(event));
     return absl::OkStatus();
   }
 

@@ -92,16 +92,6 @@ absl::Status Catalogue::Put(const CatalogueRow& row) {
   return status;
 }
 
-absl::StatusOr<bool> Catalogue::Has(uint64_t job) {
-  std::lock_guard lock(mu_);
-  Statement find(db_, "SELECT 1 FROM jobs WHERE job = ?1");
-  if (!find.ok()) return Error("read");
-  find.Bind(1, static_cast<int64_t>(job));
-  const int result = find.Step();
-  if (result != SQLITE_ROW && result != SQLITE_DONE) return Error("read");
-  return result == SQLITE_ROW;
-}
-
 absl::Status Catalogue::Remove(uint64_t job) {
   std::lock_guard lock(mu_);
   Statement remove(db_, "DELETE FROM jobs WHERE job = ?1");

@@ -10,28 +10,21 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/store/job_storage.h"
 
 struct sqlite3;
 
 namespace tessera {
 
-struct CatalogueRow {
-  uint64_t job = 0;
-  std::string request_id;
-  std::string record;  // a serialised tessera.v1.Job
-};
-
-class Catalogue {
+class Catalogue : public RowStorage {
  public:
   // Opens or creates the file. Errors: INTERNAL naming the file and SQLite's reason.
   static absl::StatusOr<std::unique_ptr<Catalogue>> Open(const std::string& path);
-  ~Catalogue();
+  ~Catalogue() override;
 
-  // Survives a loss of power once it has returned.
-  absl::Status Put(const CatalogueRow& row);
-  absl::StatusOr<bool> Has(uint64_t job);
-  absl::Status Remove(uint64_t job);
-  absl::StatusOr<std::vector<CatalogueRow>> ReadAll();
+  absl::Status Put(const CatalogueRow& row) override;
+  absl::Status Remove(uint64_t job) override;
+  absl::StatusOr<std::vector<CatalogueRow>> ReadAll() override;
   // Counts the runs of the server on this catalogue, starting with 1.
   absl::StatusOr<uint64_t> NextIncarnation();
   // The largest id that any job ever had; ids are not used twice.

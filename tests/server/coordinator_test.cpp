@@ -235,6 +235,42 @@ TEST(Coordinator, CancelKeepsTheSamplesAndNamesTheirDigest) {
   EXPECT_TRUE(farm.workers[worker].leases.empty());
 }
 
+// A later range has come, but not the one before it: nothing of it stays.
+TEST(Coordinator, CancelBeforeTheFirstPassHasNoSamples) {
+  SimulatedFarm farm;
+  v1::JobSettings settings = SmallSettings();
+  settings.set_width(8);
+  settings.set_height(8);
+  const JobId job = farm.Create(settings);
+  const SessionId session = farm.Connect();
+  const v1::Lease second = farm.workers[session].leases.at(1);
+  ASSERT_EQ(second.sample_begin(), 2);
+  ASSERT_TRUE(farm.Post(farm.Render(session, second)).status.ok());
+  ASSERT_GT(farm.Job(job).progress().samples(), 0);
+  ASSERT_TRUE(farm.Command(JobCommand::kCancel, job).ok());
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_CANCELLED);
+  EXPECT_EQ(farm.Job(job).progress().samples(), 0);
+}
+
+// A worker that does not know the job, as a message was lost, is told again.
+TEST(Coordinator, TheSpecOfAnUnknownJobIsSentAgain) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings());
+  const SessionId session = farm.Connect(1);
+  farm.workers[session].specs.clear();
+  const std::deque<v1::Lease> leases = std::exchange(farm.workers[session].leases, {});
+  ASSERT_FALSE(leases.empty());
+  for (const v1::Lease& lease : leases) {
+    DeclineEvent decline{.session = session};
+    decline.decline.set_lease_id(lease.id());
+    decline.decline.set_reason(v1::DeclineLease::REASON_UNKNOWN_JOB);
+    farm.Post(std::move(decline));
+  }
+  EXPECT_TRUE(farm.workers[session].specs.contains(JobName(job)));
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
+}
+
 TEST(Coordinator, CancelWithoutSamplesHasNoDigest) {
   SimulatedFarm farm;
   const JobId job = farm.Create(SmallSettings(16));

@@ -77,6 +77,25 @@ TEST_F(JobServiceTest, ACreationThatCannotBeSavedCanBeRepeated) {
   EXPECT_EQ(NumJobs(), 1u);
 }
 
+TEST_F(JobServiceTest, ACommandThatCannotBeSavedIsNotAcknowledged) {
+  v1::Job job;
+  ASSERT_TRUE(Create("r1", &job).ok());
+  const auto pause = [&] {
+    grpc::ClientContext context;
+    v1::PauseJobRequest request;
+    request.set_name(job.name());
+    request.set_request_id("r2");
+    return stub_->PauseJob(&context, request, &job);
+  };
+  disk_is_full_ = true;
+  const grpc::Status refused = pause();
+  EXPECT_EQ(refused.error_code(), grpc::StatusCode::UNAVAILABLE) << "repeat it, with the same id";
+  EXPECT_NE(refused.error_message().find("the disk is full"), std::string::npos);
+  disk_is_full_ = false;
+  EXPECT_TRUE(pause().ok());
+  EXPECT_EQ(job.state(), v1::JOB_STATE_PAUSED);
+}
+
 TEST_F(JobServiceTest, PagesAreBoundedInBytes) {
   for (int i = 0; i < 200; ++i) {
     v1::AssetRef asset = settings_.assets(0);

@@ -7,6 +7,8 @@
 #include <gtest/gtest.h>
 
 #include "server/job_saver.h"
+#include "server/store/catalogue.h"
+#include "server/store/film_store.h"
 #include "tests/server/simulated_farm.h"
 
 namespace tessera {
@@ -283,6 +285,38 @@ TEST_F(SaverTest, AnEndIsNotWrittenBeforeTheFilm) {
   run_->saver->Save(job_, true);
   run_->saver->Stop();
   EXPECT_EQ(AfterKill().state(), v1::JOB_STATE_CANCELLED);
+}
+
+// Its film is still to be written, but that it was cancelled must not be forgotten meanwhile.
+TEST_F(RestoreTest, AnAcknowledgedCancellationIsOnDiskBeforeTheFilm) {
+  run_->saver->Attach(&run_->host);
+  const JobId job = run_->host.Post(CreateJobEvent{.settings = settings_}).job;
+  ASSERT_TRUE(run_->saver->SaveNow(job).ok());
+  SimulatedFarm farm;  // makes a delta of the job's first lease
+  const JobId same = farm.Create(settings_);
+  const SessionId session = farm.Connect();
+  DeltaEvent delta = farm.Render(session, farm.workers[session].leases.front());
+  delta.delta.set_job(JobName(job));
+  ASSERT_EQ(same, job);
+  run_->host.Post(WorkerConnectedEvent{session, farm.MakeHello("host", 2)});
+  ASSERT_TRUE(run_->host.Post(std::move(delta)).status.ok());
+  ASSERT_TRUE(run_->host.Post(JobCommandEvent{JobCommand::kCancel, job, ""}).status.ok());
+  run_->host.Post(JobFinishedEvent{job, {}});
+  ASSERT_EQ(run_->Job(job).state(), v1::JOB_STATE_CANCELLED);
+  ASSERT_TRUE(run_->saver->SaveNow(job).ok());
+  v1::Job row;
+  ASSERT_TRUE(row.ParseFromString(run_->catalogue->ReadAll()->at(0).record));
+  EXPECT_EQ(row.stop_reason(), v1::STOP_REASON_CANCELLED);
+  EXPECT_EQ(row.state(), v1::JOB_STATE_FINISHING) << "its film is not there yet";
+
+  // And what says that all is over stays, however often the call is repeated.
+  while (run_->saver->WriteDue()) {
+  }
+  run_->saver->Save(job, true);
+  ASSERT_TRUE(run_->saver->WriteDue());
+  ASSERT_TRUE(run_->saver->SaveNow(job).ok());
+  ASSERT_TRUE(row.ParseFromString(run_->catalogue->ReadAll()->at(0).record));
+  EXPECT_EQ(row.state(), v1::JOB_STATE_CANCELLED);
 }
 
 }  // namespace

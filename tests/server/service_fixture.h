@@ -60,6 +60,14 @@ class SyntheticWorker {
           SyntheticTile(spec.seed(), RectOf(lease.window()),
                         {lease.sample_begin(), lease.sample_end()}, delta.feature_end()),
           DeltaEncoding::kPackedZstd);
+      delta.set_checksum(DeltaChecksum({.lease_id = lease.id(),
+                                        .job = lease.job(),
+                                        .tile_index = lease.tile_index(),
+                                        .window = RectOf(lease.window()),
+                                        .range = {lease.sample_begin(), lease.sample_end()},
+                                        .feature_end = delta.feature_end(),
+                                        .rays = delta.rays()},
+                                       encoded.payload));
       delta.set_payload(std::move(encoded.payload));
       delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
       delta.set_payload_bytes(encoded.payload_bytes);

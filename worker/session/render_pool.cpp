@@ -92,6 +92,14 @@ absl::StatusOr<v1::TileDelta> RenderPool::Render(const Task& task) const {
   delta.set_sample_begin(range.begin);
   delta.set_sample_end(range.end);
   delta.set_feature_end(tile->feature_end());
+  delta.set_checksum(DeltaChecksum({.lease_id = task.lease.id(),
+                                    .job = task.lease.job(),
+                                    .tile_index = task.lease.tile_index(),
+                                    .window = window,
+                                    .range = range,
+                                    .feature_end = tile->feature_end(),
+                                    .rays = counters.rays},
+                                   encoded.payload));
   delta.set_payload(std::move(encoded.payload));
   delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
   delta.set_payload_bytes(encoded.payload_bytes);

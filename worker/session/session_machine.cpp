@@ -162,7 +162,7 @@ void SessionMachine::OnLease(v1::Lease& lease) {
   }
   const auto job = jobs_.find(lease.job());
   if (job == jobs_.end()) {
-    Decline(id, v1::DeclineLease::REASON_UNSPECIFIED, "no spec of this job has come");
+    Decline(id, v1::DeclineLease::REASON_UNKNOWN_JOB, "no spec of this job has come");
     return;
   }
   if (leases_.size() >= kLeasesMax) {

@@ -137,6 +137,17 @@ class SessionMachine {
 
   bool finished() const { return phase_ == Phase::kFinished; }
 
+  // What waits or is under way.
+  struct Load {
+    size_t leases = 0;
+    size_t tasks = 0;    // renders, cancelled ones that have not ended included
+    size_t deltas = 0;   // messages that wait for the link
+    size_t control = 0;
+  };
+  Load load() const {
+    return {leases_.size(), tasks_.size(), deltas_.size(), control_.size()};
+  }
+
  private:
   enum class Phase { kWaiting, kConnecting, kServing, kClosing, kFinished };
   struct Job {

@@ -328,5 +328,33 @@ TEST(DeltaCodecTest, RefusesWrongShapesRangesAndEncodings) {
   }
 }
 
+// Whatever is changed in what a delta says of itself, the checksum is another.
+TEST(DeltaChecksum, BindsThePayloadToItsKey) {
+  const std::string payload = "a payload with its checksum";
+  const DeltaKey key{.lease_id = 1,
+                     .job = "jobs/1",
+                     .tile_index = 2,
+                     .window = PixelRect::FromSize(3, 4, 5, 6),
+                     .range = {8, 16},
+                     .feature_end = 32,
+                     .rays = 7};
+  std::vector<DeltaKey> others(9, key);
+  others[0].lease_id = 2;
+  others[1].job = "jobs/2";
+  others[2].tile_index = 3;
+  others[3].window = PixelRect::FromSize(4, 4, 5, 6);
+  others[4].window = PixelRect::FromSize(3, 4, 5, 7);
+  others[5].range = {16, 24};
+  others[6].feature_end = 64;
+  others[7].rays = 8;
+  EXPECT_EQ(DeltaChecksum(key, payload), DeltaChecksum(others[8], payload));
+  others.pop_back();
+  for (const DeltaKey& other : others) {
+    EXPECT_NE(DeltaChecksum(key, payload), DeltaChecksum(other, payload));
+  }
+  EXPECT_NE(DeltaChecksum(key, payload), DeltaChecksum(key, "a payload with its checksuM"));
+  EXPECT_NE(DeltaChecksum(key, payload), DeltaChecksum(key, ""));
+}
+
 }  // namespace
 }  // namespace tessera

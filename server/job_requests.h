@@ -1,0 +1,48 @@
+// What clients ask of jobs, made durable before it is acknowledged; no RPC.
+#pragma once
+
+#include <functional>
+#include <memory>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "server/coordinator_host.h"
+#include "server/store/asset_store.h"
+#include "tessera/v1/job.pb.h"
+
+namespace tessera {
+
+// Makes what clients ask for durable before it is acknowledged.
+struct JobKeeper {
+  std::function<absl::Status(JobId)> save;
+  std::function<absl::Status(JobId)> remove;
+};
+
+// Threads: all methods from any thread.
+class JobRequests {
+ public:
+  // All references must outlive this.
+  JobRequests(CoordinatorHost& host, AssetStore& assets, SettingsDefaults defaults,
+              JobKeeper keeper);
+
+  // Errors: as JobService.CreateJob.
+  absl::Status Create(const v1::CreateJobRequest& request, v1::Job* response);
+  // Errors: INVALID_ARGUMENT, NOT_FOUND.
+  absl::Status Get(const std::string& name, v1::Job* response) const;
+  // response: the job as it is then; may be null. Errors: INVALID_ARGUMENT, NOT_FOUND,
+  // FAILED_PRECONDITION; UNAVAILABLE if the job has changed but the change is not durable yet.
+  absl::Status Command(JobCommand command, const std::string& name, const std::string& request_id,
+                       v1::Job* response);
+
+ private:
+  absl::StatusOr<std::shared_ptr<Film>> ReadFilm(const std::string& sha256,
+                                                 const v1::JobSettings& settings);
+
+  CoordinatorHost& host_;
+  AssetStore& assets_;
+  const SettingsDefaults defaults_;
+  const JobKeeper keeper_;
+};
+
+}  // namespace tessera

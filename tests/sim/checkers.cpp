@@ -1,0 +1,162 @@
+#include "tests/sim/checkers.h"
+
+#include <algorithm>
+#include <memory>
+
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/job_settings.h"
+#include "server/coordinator/limits.h"
+#include "server/coordinator/sample_counts.h"
+#include "server/coordinator/sample_schedule.h"
+#include "tests/sim/sim_scene.h"
+
+namespace tessera {
+namespace {
+
+std::string Name(JobId job, const Unit& unit) {
+  return absl::StrCat(JobName(job), " tile ", unit.tile, " [", unit.range.begin, ", ",
+                      unit.range.end, ")");
+}
+
+// Where a job with a target error stops: what the schedule and the filter's estimates say.
+int64_t TargetSpp(const v1::JobSettings& s) {
+  const SampleSchedule schedule(s.spp(), int64_t{s.tile_size()} * s.tile_size(), true);
+  int64_t committed = 0;
+  while (committed < s.spp()) {
+    committed = schedule.EpochEnd(committed);
+    if (committed >= 8 && SimError(committed) <= s.target_error()) break;
+  }
+  return committed;
+}
+
+}  // namespace
+
+void Checkers::OnRestored(const Coordinator& coordinator) {
+  ranges_.clear();
+  revisions_.clear();
+  for (const v1::Job& record : coordinator.ListJobs(0, SIZE_MAX)) {
+    const JobId job = *ParseJobName(record.name());
+    if (record.revision().incarnation() <= incarnation_) {
+      Fail(absl::StrCat(record.name(), " came back with an old incarnation"));
+    }
+    const std::shared_ptr<const Film> film = coordinator.FilmOf(job);
+    for (int64_t tile = 0; film != nullptr && tile < film->grid().num_tiles(); ++tile) {
+      for (const TileStatistics& node : film->Nodes(tile)) {
+        ranges_[job][tile][node.range().begin] = node.range().end;
+      }
+    }
+  }
+}
+
+void Checkers::OnCounted(JobId job, const Unit& unit) {
+  ++counted_;
+  std::map<int64_t, int64_t>& ranges = ranges_[job][unit.tile];
+  const auto next = ranges.lower_bound(unit.range.begin);
+  const bool overlaps = (next != ranges.end() && next->first < unit.range.end) ||
+                        (next != ranges.begin() && std::prev(next)->second > unit.range.begin);
+  if (overlaps) Fail(absl::StrCat(Name(job, unit), " was counted twice"));
+  ranges[unit.range.begin] = unit.range.end;
+}
+
+void Checkers::AfterStep(const Coordinator& coordinator, const std::set<JobId>& changed,
+                         Instant now) {
+  ++steps_;
+  for (const JobId job : changed) {
+    const absl::StatusOr<v1::Job> record = coordinator.GetJob(job);
+    if (!record.ok()) continue;
+    const uint64_t incarnation = record->revision().incarnation();
+    if (incarnation < incarnation_) Fail(absl::StrCat(record->name(), ": incarnation went back"));
+    incarnation_ = incarnation;
+    uint64_t& counter = revisions_[job];
+    if (record->revision().counter() <= counter) {
+      Fail(absl::StrCat(record->name(), ": revision went back"));
+    }
+    counter = record->revision().counter();
+    if (steps_ % 16 == 0 && !plan_.is_large) CheckFilm(coordinator, job);
+  }
+  if (!plan_.is_large || steps_ % 64 == 0) CheckLeases(coordinator, now);
+}
+
+void Checkers::CheckLeases(const Coordinator& coordinator, Instant now) {
+  std::vector<Coordinator::LeaseView> leases = coordinator.ListLeases();
+  std::map<SessionId, int> of_session;
+  for (const Coordinator::LeaseView& lease : leases) {
+    ++of_session[lease.session];
+    if (lease.expires_ms <= now.monotonic_ms ||
+        lease.expires_ms > now.monotonic_ms + plan_.lease_ttl_ms) {
+      Fail(absl::StrCat("lease ", lease.id, " expires at ", lease.expires_ms, ", now is ",
+                        now.monotonic_ms));
+    }
+  }
+  for (const auto& [session, count] : of_session) {
+    // The most that a worker of four threads may hold, with the room to race one unit.
+    if (count > 7) Fail(absl::StrCat("session ", session, " holds ", count, " leases"));
+  }
+  std::ranges::sort(leases, {}, [](const auto& lease) {
+    return std::tuple(lease.job, lease.unit.tile, lease.unit.range.begin, lease.is_race, lease.id);
+  });
+  for (size_t i = 1; i < leases.size(); ++i) {
+    const Coordinator::LeaseView &a = leases[i - 1], &b = leases[i];
+    if (a.job != b.job || a.unit.tile != b.unit.tile) continue;
+    if (a.unit.range.end <= b.unit.range.begin) continue;
+    if (a.unit == b.unit && b.is_race && a.session != b.session) continue;
+    Fail(absl::StrCat("leases ", a.id, " and ", b.id, " overlap: ", Name(a.job, a.unit), ", ",
+                      Name(b.job, b.unit)));
+  }
+}
+
+void Checkers::CheckFilm(const Coordinator& coordinator, JobId job) {
+  const absl::StatusOr<v1::Job> record = coordinator.GetJob(job);
+  const std::shared_ptr<const Film> film = coordinator.FilmOf(job);
+  if (!record.ok() || film == nullptr || record->state() != v1::JOB_STATE_RUNNING) return;
+  int64_t counted = 0;
+  for (const auto& [tile, ranges] : ranges_[job]) {
+    for (const auto& [begin, end] : ranges) {
+      counted += (end - begin) * film->grid().WindowOf(tile).area();
+    }
+  }
+  if (counted != film->samples() || counted != record->progress().samples()) {
+    Fail(absl::StrCat(record->name(), " counts ", film->samples(), " samples, ", counted,
+                      " were taken, clients see ", record->progress().samples()));
+  }
+  for (int64_t tile = 0; tile < film->grid().num_tiles(); ++tile) {
+    if (std::ssize(film->Nodes(tile)) > kWaitingNodesMax) {
+      Fail(absl::StrCat(record->name(), ": too many nodes wait in tile ", tile));
+    }
+  }
+}
+
+void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
+  const v1::JobSettings& s = record.settings();
+  const TileGrid grid(RegionOf(s), s.tile_size());
+  std::vector<int64_t> counts(static_cast<size_t>(grid.num_tiles()),
+                              record.progress().committed_spp());
+  if (record.has_sample_counts()) counts = ExpandCounts(record.sample_counts());
+  switch (record.state()) {
+    case v1::JOB_STATE_DONE: {
+      int64_t spp = s.spp();
+      if (record.stop_reason() == v1::STOP_REASON_MAX_TIME) spp = record.progress().committed_spp();
+      if (s.target_error() > 0) spp = std::min(spp, TargetSpp(s));
+      if (counts != std::vector<int64_t>(counts.size(), spp)) {
+        return Fail(absl::StrCat(record.name(), " ended with ", record.progress().committed_spp(),
+                                 " samples per pixel, not with ", spp));
+      }
+      break;
+    }
+    case v1::JOB_STATE_CANCELLED:
+      if (plan.fate != JobPlan::Fate::kCancelled) {
+        return Fail(absl::StrCat(record.name(), " was cancelled by nobody"));
+      }
+      if (record.digest().empty() && record.progress().samples() == 0) return;
+      break;
+    default:
+      return Fail(absl::StrCat(record.name(), " is in state ", v1::JobState_Name(record.state()),
+                               " at the end: ", record.error(), record.waiting()));
+  }
+  if (record.digest() != ReferenceDigest(s, counts)) {
+    Fail(absl::StrCat(record.name(), ": the digest is not that of one process: ",
+                      record.ShortDebugString()));
+  }
+}
+
+}  // namespace tessera

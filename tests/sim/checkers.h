@@ -1,0 +1,52 @@
+// What must hold after every step of a farm, whatever breaks in it.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "server/coordinator/coordinator.h"
+#include "tests/sim/fault_plan.h"
+
+namespace tessera {
+
+class Checkers {
+ public:
+  explicit Checkers(const FaultPlan& plan) : plan_(plan) {}
+
+  // The first thing that did not hold; empty: all did.
+  const std::string& violation() const { return violation_; }
+  void Fail(std::string what) {
+    if (violation_.empty()) violation_ = std::move(what);
+  }
+
+  // A run of the server has brought its jobs back.
+  void OnRestored(const Coordinator& coordinator);
+  // A delta has come, and the coordinator has taken it (it counts).
+  void OnCounted(JobId job, const Unit& unit);
+  // An event has been dealt with; these jobs have a new revision.
+  void AfterStep(const Coordinator& coordinator, const std::set<JobId>& changed, Instant now);
+  // Each job's own: ended, and with the bits of one process. `record`: as a client sees it.
+  void CheckEnd(const JobPlan& plan, const v1::Job& record);
+
+  int64_t steps() const { return steps_; }
+  int64_t counted() const { return counted_; }
+
+ private:
+  void CheckLeases(const Coordinator& coordinator, Instant now);
+  void CheckFilm(const Coordinator& coordinator, JobId job);
+
+  const FaultPlan& plan_;
+  std::string violation_;
+  int64_t steps_ = 0;
+  int64_t counted_ = 0;
+  uint64_t incarnation_ = 0;
+  std::map<JobId, uint64_t> revisions_;  // of this incarnation
+  // Of this incarnation: what has been counted, or was in the film that it began with.
+  std::map<JobId, std::map<int64_t, std::map<int64_t, int64_t>>> ranges_;  // tile -> begin -> end
+};
+
+}  // namespace tessera

@@ -1,0 +1,25 @@
+// One run of a whole farm under the faults that a seed stands for. The same seed gives the same
+// run, step by step, on every machine.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <string>
+
+#include "tests/sim/fault_plan.h"
+
+namespace tessera {
+
+struct SimulationResult {
+  std::string violation;  // the first thing that did not hold; empty: everything did
+  int64_t steps = 0;      // of the coordinator
+  int64_t counted = 0;    // deltas that were taken
+  int64_t corrupted = 0;  // deltas that were damaged on their way
+  int64_t virtual_ms = 0;
+};
+
+// `trace` gets a line for whatever happens; null = nobody wants to know.
+SimulationResult Simulate(const FaultPlan& plan,
+                          const std::function<void(const std::string&)>& trace = nullptr);
+
+}  // namespace tessera

@@ -1,0 +1,114 @@
+#include "tests/sim/fault_plan.h"
+
+#include <algorithm>
+
+#include "tests/sim/sim_random.h"
+#include "tests/sim/sim_scene.h"
+#include "tests/sim/virtual_time.h"
+
+namespace tessera {
+namespace {
+
+NetworkPlan MakeNetwork(SimRandom& random) {
+  NetworkPlan network;
+  network.keeps_order = random.Chance(0.5);
+  network.delay_us_min = random.Between(50, 2000);
+  network.delay_us_max = network.delay_us_min + random.Between(0, 50 * kMs);
+  const bool is_bad = random.Chance(0.7);
+  if (!is_bad) return network;
+  network.slow = random.Chance(0.5) ? 0.02 * random.Uniform() : 0;
+  network.loss = random.Chance(0.6) ? (network.keeps_order ? 0.005 : 0.1) * random.Uniform() : 0;
+  network.repeat = random.Chance(0.6) ? 0.2 * random.Uniform() : 0;
+  network.corrupt = random.Chance(0.4) ? 0.02 * random.Uniform() : 0;
+  network.call_loss = random.Chance(0.6) ? 0.3 * random.Uniform() : 0;
+  return network;
+}
+
+// Few shapes and seeds: their reference pictures are made once for all plans.
+JobPlan MakeJob(SimRandom& random, int64_t create_us_max) {
+  JobPlan job;
+  v1::JobSettings& s = job.settings;
+  s.set_scene_name("scene.glb");
+  *s.add_assets() = SimAsset();
+  s.set_seed(static_cast<uint64_t>(random.Between(1, 3)));
+  s.set_width(random.Chance(0.5) ? 11 : 16);
+  s.set_height(random.Chance(0.5) ? 9 : 12);
+  s.set_tile_size(random.Chance(0.5) ? 4 : 8);
+  static constexpr int64_t kSpp[] = {1, 2, 3, 8, 13, 16, 32, 40, 64};
+  s.set_spp(kSpp[random.Between(0, 8)]);
+  s.set_max_depth(4);
+  s.set_feature_spp(4);
+  s.set_priority(random.Chance(0.2) ? static_cast<int>(random.Between(-1, 1)) : 0);
+  if (random.Chance(0.2)) {
+    s.set_target_error(0.05 + 0.2 * random.Uniform());
+  } else if (random.Chance(0.1)) {
+    s.mutable_max_time()->set_seconds(random.Between(1, 10));
+  }
+  job.create_us = random.Between(0, create_us_max);
+  const double fate = random.Uniform();
+  if (fate < 0.1) job.fate = JobPlan::Fate::kCancelled;
+  if (fate >= 0.1 && fate < 0.2) job.fate = JobPlan::Fate::kPausedForAWhile;
+  if (fate >= 0.2 && fate < 0.23) job.fate = JobPlan::Fate::kDeleted;
+  job.fate_us = random.Between(0, 15 * kSecond);
+  job.pause_us = random.Between(0, 10 * kSecond);
+  return job;
+}
+
+Fault MakeFault(SimRandom& random, const FaultPlan& plan) {
+  static constexpr FaultKind kKinds[] = {
+      FaultKind::kWorkerKilled, FaultKind::kWorkerVanishes, FaultKind::kWorkerStalls,
+      FaultKind::kRenderHangs,  FaultKind::kWorkerDrains,   FaultKind::kPartition,
+      FaultKind::kServerCrash,  FaultKind::kServerCrash,    FaultKind::kDiskFull,
+      FaultKind::kFilmDamaged};
+  Fault fault{.kind = kKinds[random.Between(0, std::ssize(kKinds) - 1)]};
+  fault.at_us = random.Between(0, plan.faults_end_us - 1);
+  const int64_t longest =
+      std::min(plan.faults_end_us - fault.at_us, random.Chance(0.8) ? 5 * kSecond : 60 * kSecond);
+  fault.for_us = random.Between(0, longest);
+  fault.target = static_cast<int>(random.Between(0, std::ssize(plan.workers) - 1));
+  return fault;
+}
+
+}  // namespace
+
+FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
+  SimRandom random(seed * 2 + (is_large ? 1 : 0));
+  FaultPlan plan;
+  plan.seed = seed;
+  plan.is_large = is_large;
+  plan.network = MakeNetwork(random);
+  plan.lease_ttl_ms = random.Between(500, 4000);
+  plan.checkpoint_ms = random.Between(200, 20000);
+  plan.faults_end_us = random.Between(5, 60) * kSecond;
+  plan.end_us = plan.faults_end_us + 400 * kSecond;
+  const int64_t num_workers = is_large ? 200 : random.Between(1, 6);
+  const int64_t num_jobs = is_large ? 20 : random.Between(1, 5);
+  // So slow that the jobs meet the faults.
+  const double speed = (is_large ? 0.02 : 0.1) + (is_large ? 0.1 : 1.0) * random.Uniform();
+  for (int64_t i = 0; i < num_workers; ++i) {
+    WorkerPlan worker;
+    worker.threads = static_cast<int>(random.Between(1, 4));
+    worker.samples_per_ms = speed * (random.Chance(0.2) ? 0.1 : 0.5 + random.Uniform());
+    // The first one can do everything, so that every job can end.
+    const bool is_small = i > 0 && random.Chance(0.15);
+    worker.memory_bytes = is_small ? kSimSceneBytes / 2 : kSimSceneBytes * random.Between(1, 4);
+    worker.start_us = i == 0 ? 0 : random.Between(0, 20 * kSecond);
+    worker.failed_fetch = random.Chance(0.2) ? 0.5 : 0;
+    plan.workers.push_back(worker);
+  }
+  for (int64_t i = 0; i < num_jobs; ++i) {
+    plan.jobs.push_back(MakeJob(random, is_large ? kSecond : plan.faults_end_us / 2));
+  }
+  // The first worker alone could do it all, even twice.
+  int64_t samples = 0;
+  for (const JobPlan& job : plan.jobs) {
+    samples += int64_t{job.settings.width()} * job.settings.height() * job.settings.spp();
+  }
+  plan.end_us += static_cast<int64_t>(2e3 * static_cast<double>(samples) /
+                                      plan.workers.front().samples_per_ms);
+  const int64_t num_faults = random.Chance(0.05) ? 0 : random.Between(1, is_large ? 60 : 12);
+  for (int64_t i = 0; i < num_faults; ++i) plan.faults.push_back(MakeFault(random, plan));
+  return plan;
+}
+
+}  // namespace tessera

@@ -1,0 +1,82 @@
+#include "tests/sim/sim_scene.h"
+
+#include <cmath>
+#include <map>
+#include <tuple>
+
+#include "core/base/sha256.h"
+#include "core/film/delta_codec.h"
+#include "server/coordinator/job_settings.h"
+#include "tests/server/synthetic_tile.h"
+
+namespace tessera {
+
+v1::AssetRef SimAsset() {
+  Sha256 hash;
+  hash.Update(kSimAsset);
+  v1::AssetRef asset;
+  asset.set_name("scene.glb");
+  asset.set_sha256(ToBytes(hash.Finish()));
+  asset.set_size_bytes(sizeof(kSimAsset) - 1);
+  return asset;
+}
+
+v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease) {
+  const PixelRect window = RectOf(lease.window());
+  const SampleRange range{lease.sample_begin(), lease.sample_end()};
+  const int64_t feature_end = FeatureEndOf(settings.feature_spp());
+  // Few scenes are rendered by thousands of runs.
+  using Key = std::tuple<uint64_t, int, int, int, int, int64_t, int64_t, int64_t>;
+  static auto* const cache = new std::map<Key, EncodedDelta>();
+  const Key key{settings.seed(), window.x_begin, window.y_begin, window.x_end,
+                window.y_end,    range.begin,    range.end,      feature_end};
+  auto rendered = cache->find(key);
+  if (rendered == cache->end()) {
+    const TileStatistics tile = SyntheticTile(settings.seed(), window, range, feature_end);
+    rendered = cache->emplace(key, EncodeDelta(tile, DeltaEncoding::kPacked)).first;
+  }
+  const EncodedDelta& encoded = rendered->second;
+  v1::TileDelta delta;
+  delta.set_lease_id(lease.id());
+  delta.set_job(lease.job());
+  delta.set_tile_index(lease.tile_index());
+  *delta.mutable_window() = lease.window();
+  delta.set_sample_begin(range.begin);
+  delta.set_sample_end(range.end);
+  delta.set_feature_end(feature_end);
+  delta.set_rays(range.size() * window.area());
+  delta.set_payload(encoded.payload);
+  delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
+  delta.set_payload_bytes(encoded.payload_bytes);
+  delta.set_checksum(DeltaChecksum({.lease_id = lease.id(),
+                                    .job = lease.job(),
+                                    .tile_index = lease.tile_index(),
+                                    .window = window,
+                                    .range = range,
+                                    .feature_end = feature_end,
+                                    .rays = delta.rays()},
+                                   encoded.payload));
+  return delta;
+}
+
+std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts) {
+  using Key = std::tuple<uint64_t, int, int, int, std::vector<int64_t>>;
+  static auto* const cache = new std::map<Key, std::string>();
+  const Key key{settings.seed(), settings.width(), settings.height(), settings.tile_size(), counts};
+  const auto known = cache->find(key);
+  if (known != cache->end()) return known->second;
+  Film film = EmptyFilmOf(settings);
+  for (int64_t tile = 0; tile < film.grid().num_tiles(); ++tile) {
+    for (const SampleRange& range : MaximalNodes({0, counts.at(static_cast<size_t>(tile))})) {
+      (void)film.Accept(tile, SyntheticTile(settings.seed(), film.grid().WindowOf(tile), range,
+                                            film.feature_end()));
+    }
+  }
+  return cache->emplace(key, ToBytes(film.Digest())).first->second;
+}
+
+double SimError(int64_t committed_spp) {
+  return committed_spp == 0 ? 0 : 1.0 / std::sqrt(static_cast<double>(committed_spp));
+}
+
+}  // namespace tessera

@@ -1,0 +1,28 @@
+// What the simulated workers render: a pure function of (settings, tile, range) that yields real
+// statistics in real bytes, and the pictures that one process alone would make of it.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "tessera/v1/job.pb.h"
+#include "tessera/v1/worker.pb.h"
+
+namespace tessera {
+
+inline constexpr int64_t kSimSceneBytes = int64_t{64} << 20;
+inline constexpr char kSimAsset[] = "a scene";
+
+v1::AssetRef SimAsset();
+
+// The delta of a lease, as an honest worker makes it.
+v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease);
+
+// The digest of a film whose tile i has its first counts[i] samples.
+std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts);
+
+// What the server's filter would estimate of a picture of so many samples per pixel.
+double SimError(int64_t committed_spp);
+
+}  // namespace tessera

@@ -1,0 +1,211 @@
+#include "tests/sim/sim_server.h"
+
+#include <chrono>
+#include <set>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/worker_message.h"
+#include "server/restore.h"
+#include "tests/sim/sim_scene.h"
+
+namespace tessera {
+
+// One process, from its start to its death.
+class SimServer::Run : public EffectSink {
+ public:
+  Run(SimServer& server, uint64_t id)
+      : server_(server),
+        id_(id),
+        clock_offset_ms_(server.random_.Between(1, 1000000)),
+        rows_(server.platter_, [this] { return alive_; }),
+        films_(server.platter_, [this] { return alive_; }, [this] { PassTime(); }),
+        host_(Config(), *this, [this] { return last_step_ = Now(); }),
+        saver_(&rows_, &films_, server.assets_.get(),
+               [this] { return JobSaver::Clock::time_point(std::chrono::milliseconds(NowMs())); }),
+        requests_(host_, *server.assets_, Config().defaults,
+                  {[this](JobId job) { return alive_ ? saver_.SaveNow(job) : Dead(); },
+                   [this](JobId job) { return alive_ ? saver_.RemoveNow(job) : Dead(); }}) {
+    saver_.Attach(&host_);
+  }
+
+  absl::Status Restore() {
+    return RestoreJobs(rows_, films_, *server_.assets_, Config().defaults, host_);
+  }
+  absl::Status Post(Event event) {
+    if (!alive_) return Dead();
+    return host_.Post(std::move(event)).status;
+  }
+  // Checks what the steps since the last call have led to, and writes what is to be written.
+  void Settle() {
+    if (!alive_) return;
+    const std::set<JobId> changed = std::exchange(changed_, {});
+    host_.Read(
+        [&](const Coordinator& c) { server_.checkers_.AfterStep(c, changed, last_step_); });
+    if (save_due_ || saving_) return;
+    save_due_ = true;
+    After(server_.random_.Between(1, 20) * kMs, [this] {
+      save_due_ = false;
+      saving_ = true;
+      while (alive_ && saver_.WriteDue()) {
+      }
+      saving_ = false;
+    });
+  }
+  void Apply(const Effect& effect) override {
+    if (alive_) std::visit([this](const auto& e) { On(e); }, effect);
+  }
+  // Nothing of it happens any more. Whatever runs in it just now still holds it.
+  void Kill() { alive_ = false; }
+
+  Instant Now() const { return {NowMs() + clock_offset_ms_, 1700000000000 + NowMs()}; }
+  const CoordinatorHost& host() const { return host_; }
+  JobRequests& requests() { return requests_; }
+  uint64_t id() const { return id_; }
+
+  CoordinatorConfig Config() const {
+    CoordinatorConfig config;
+    config.incarnation = id_;
+    config.first_job = server_.platter_.last_job + 1;
+    config.version = "sim";
+    config.defaults = {.tile_size = 8, .denoisers = {"none"}};
+    config.lease_ttl_ms = server_.plan_.lease_ttl_ms;
+    config.checkpoint_interval_ms = server_.plan_.checkpoint_ms;
+    return config;
+  }
+
+ private:
+  static absl::Status Dead() { return absl::UnavailableError("the server is dead"); }
+  int64_t NowMs() const { return server_.time_.now_us() / kMs; }
+
+  void After(int64_t delay_us, std::function<void()> run) {
+    server_.time_.After(delay_us, [self = server_.run_, run = std::move(run)] {
+      if (self != nullptr && self->alive_) run();
+    });
+  }
+  // Amid the writing of a film: the rest of the world goes on for a little while.
+  void PassTime() {
+    if (!alive_) return;
+    const int64_t until_us = server_.time_.now_us() + server_.random_.Between(0, 5 * kMs);
+    while (alive_ && server_.time_.RunNext(until_us)) {
+    }
+  }
+
+  void On(const SendEffect& e) { server_.network_->WriteDown(e.session, e.message); }
+  void On(const CloseSessionEffect& e) {
+    server_.trace_(absl::StrCat("closes session ", e.session, ": ", e.status.ToString()));
+    server_.network_->Close(e.session, e.status);
+  }
+  void On(const JobChangedEffect& e) { changed_.insert(e.job); }
+  void On(const TileChangedEffect&) {}
+  void On(const SaveJobEffect& e) { saver_.Save(e.job, e.with_film); }
+  void On(const RemoveJobEffect& e) { saver_.Remove(e.job); }
+  void On(const EvaluatePictureEffect& e) {
+    After(server_.random_.Between(1, 300) * kMs, [this, job = e.job] {
+      const absl::StatusOr<v1::Job> record =
+          host_.Read([&](const Coordinator& c) { return c.GetJob(job); });
+      if (!record.ok()) return;
+      const int64_t spp = record->progress().committed_spp();
+      (void)Post(PictureEvent{job, spp, SimError(spp), 0});
+      Settle();
+    });
+  }
+  void On(const FinishJobEffect& e) {
+    After(server_.random_.Between(1, 300) * kMs, [this, job = e.job] {
+      const std::shared_ptr<const Film> film =
+          host_.Read([&](const Coordinator& c) { return c.FilmOf(job); });
+      if (film == nullptr) return;
+      (void)Post(JobFinishedEvent{job, film->Digest()});
+      Settle();
+    });
+  }
+
+  SimServer& server_;
+  const uint64_t id_;
+  const int64_t clock_offset_ms_;
+  bool alive_ = true;
+  Instant last_step_;
+  bool saving_ = false;
+  bool save_due_ = false;
+  std::set<JobId> changed_;
+  SimRows rows_;
+  SimFilms films_;
+  CoordinatorHost host_;
+  JobSaver saver_;
+  JobRequests requests_;
+};
+
+SimServer::SimServer(const FaultPlan& plan, VirtualTime& time, SimRandom& random,
+                     Checkers& checkers, Trace trace)
+    : plan_(plan),
+      time_(time),
+      random_(random),
+      checkers_(checkers),
+      trace_(std::move(trace)),
+      assets_(*AssetStore::Open("", 0)) {
+  const v1::AssetRef asset = SimAsset();
+  (void)assets_->Append(*Sha256FromBytes(asset.sha256()), asset.size_bytes(), 0, kSimAsset);
+}
+
+SimServer::~SimServer() = default;
+
+void SimServer::Start() {
+  if (run_ != nullptr) return;
+  run_ = std::make_shared<Run>(*this, ++platter_.incarnation);
+  trace_(absl::StrCat("starts, incarnation ", run_->id()));
+  if (absl::Status status = run_->Restore(); !status.ok()) checkers_.Fail(status.ToString());
+  run_->host().Read([this](const Coordinator& c) { checkers_.OnRestored(c); });
+  Settle();
+  Tick(run_->id());
+}
+
+void SimServer::Crash(int64_t for_us) {
+  if (run_ == nullptr) return;
+  trace_("is killed");
+  run_->Kill();
+  run_.reset();
+  network_->ServerDied();
+  time_.After(for_us, [this] { Start(); });
+}
+
+void SimServer::Tick(uint64_t run) {
+  if (run_ == nullptr || run_->id() != run) return;
+  (void)run_->Post(TickEvent{});
+  Settle();
+  time_.After(100 * kMs, [this, run] { Tick(run); });
+}
+
+void SimServer::Settle() {
+  if (run_ != nullptr) run_->Settle();
+}
+
+void SimServer::Receive(SimNetwork::Stream stream, v1::WorkerMessage message) {
+  if (run_ == nullptr) return;
+  absl::StatusOr<Event> event = EventOf(stream, message);
+  if (!event.ok()) {
+    trace_(absl::StrCat("session ", stream, ": ", event.status().ToString()));
+    network_->Close(stream, event.status());
+    return;
+  }
+  const auto* const delta = std::get_if<DeltaEvent>(&*event);
+  JobId job = 0;
+  Unit unit;
+  if (delta != nullptr) {
+    job = ParseJobName(delta->delta.job()).value_or(0);
+    unit = {delta->delta.tile_index(), delta->tile.range()};
+  }
+  const absl::Status status = run_->Post(*std::move(event));
+  if (delta != nullptr && status.ok()) checkers_.OnCounted(job, unit);
+  Settle();
+}
+
+void SimServer::Lost(SimNetwork::Stream stream) {
+  if (run_ == nullptr) return;
+  (void)run_->Post(WorkerGoneEvent{stream});
+  Settle();
+}
+
+JobRequests& SimServer::requests() { return run_->requests(); }
+const CoordinatorHost& SimServer::host() const { return run_->host(); }
+
+}  // namespace tessera

@@ -1,0 +1,64 @@
+// The farm under faults: docs/farm.md.
+#include <gtest/gtest.h>
+
+#include "tests/sim/farm_simulation.h"
+
+namespace tessera {
+namespace {
+
+SimulationResult ExpectHolds(uint64_t seed, bool is_large = false) {
+  SimulationResult result = Simulate(MakeFaultPlan(seed, is_large));
+  EXPECT_EQ(result.violation, "") << "replay it: build/release/bin/simulate --seed " << seed
+                                  << (is_large ? " --large" : "") << " --trace";
+  return result;
+}
+
+class Simulator : public testing::TestWithParam<uint64_t> {};
+
+TEST_P(Simulator, HoldsUnderAHundredSchedules) {
+  for (uint64_t i = 0; i < 100; ++i) ExpectHolds(100 * GetParam() + i);
+}
+INSTANTIATE_TEST_SUITE_P(Seeds, Simulator, testing::Range(uint64_t{0}, uint64_t{6}));
+
+TEST(LargeFarm, HoldsWithTwoHundredWorkersAndTwentyJobs) {
+  for (uint64_t seed = 0; seed < 4; ++seed) ExpectHolds(seed, true);
+}
+
+// A run can be studied only if its seed gives the same run again.
+TEST(Replay, IsTheSameRun) {
+  for (const uint64_t seed : {7u, 8u, 9u}) {
+    std::string first, second;
+    (void)Simulate(MakeFaultPlan(seed), [&](const std::string& line) { first += line + "\n"; });
+    (void)Simulate(MakeFaultPlan(seed), [&](const std::string& line) { second += line + "\n"; });
+    EXPECT_FALSE(first.empty());
+    EXPECT_EQ(first, second) << seed;
+  }
+}
+
+// The faults must meet work: a simulator in which nothing happens proves nothing.
+TEST(Plans, BreakWhatTheySay) {
+  int64_t counted = 0, corrupted = 0;
+  for (uint64_t seed = 0; seed < 100; ++seed) {
+    const SimulationResult result = ExpectHolds(seed);
+    counted += result.counted;
+    corrupted += result.corrupted;
+  }
+  EXPECT_GT(counted, 5000);
+  EXPECT_GT(corrupted, 5);
+}
+
+// Seeds that found something, each with what it found. Targeted tests go with them.
+TEST(Regressions, Hold) {
+  // A lost JobSpec: the leases of its job were declined for ever (REASON_UNKNOWN_JOB).
+  ExpectHolds(459);
+  ExpectHolds(775);
+  // A cancellation was acknowledged while the row still said QUEUED (JobSaver::SaveNow).
+  ExpectHolds(121);
+  ExpectHolds(850);
+  // A job cancelled before its first pass showed samples that it had dropped (Cancel).
+  ExpectHolds(22);
+  ExpectHolds(980);
+}
+
+}  // namespace
+}  // namespace tessera
