@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "worker/integrator/isa_class.h"
+#include "worker/integrator/portable_math.h"
 #include "worker/integrator/sobol_sampler.h"
 
 namespace tessera {
@@ -13,14 +14,18 @@ namespace {
 struct QueryContext {
   RTCIntersectContext embree;
   uint64_t key;
-  float transmittance;
+  // -ln of what passes, in 2^-24: whole numbers, as their sum does not depend on the order in which
+  // traversal meets surfaces.
+  int64_t depth;
 };
+
+constexpr float kDepthUnit = 1 << 24;
 
 QueryContext NewContext(uint64_t key) {
   QueryContext context;
   rtcInitIntersectContext(&context.embree);
   context.key = key;
-  context.transmittance = 1;
+  context.depth = 0;
   return context;
 }
 
@@ -56,8 +61,10 @@ void FilterNearest(const RTCFilterFunctionNArguments* args) {
 
 void FilterShadow(const RTCFilterFunctionNArguments* args) {
   auto* context = reinterpret_cast<QueryContext*>(args->context);
-  context->transmittance *= 1 - ReadFilteredHit(args).alpha;
-  if (context->transmittance > 0) args->valid[0] = 0;
+  const float passes = 1 - ReadFilteredHit(args).alpha;
+  if (!(passes >= 0x1p-126f)) return;
+  context->depth += static_cast<int64_t>(-Ln(passes) * kDepthUnit);
+  args->valid[0] = 0;
 }
 
 bool CountMemory(void* counter, ssize_t bytes, bool /*post*/) {
@@ -173,7 +180,8 @@ float EmbreeScene::Transmittance(const Ray& ray) const {
   QueryContext context = NewContext(0);
   RTCRay query = ToEmbree(ray);
   rtcOccluded1(world_.get(), &context.embree, &query);
-  return query.tfar < 0 ? 0.f : context.transmittance;
+  if (query.tfar < 0) return 0;
+  return context.depth == 0 ? 1.f : ExpNegative(-static_cast<float>(context.depth) / kDepthUnit);
 }
 
 Imath::Box3f EmbreeScene::bounds() const {

@@ -8,6 +8,7 @@
 
 #include "tests/worker/integrator/test_scenes.h"
 #include "worker/integrator/ray_offset.h"
+#include "worker/integrator/sobol_sampler.h"
 
 namespace tessera::testing {
 namespace {
@@ -33,9 +34,28 @@ const Ray kForward = {V3f(0.3f, 0.2f, 1), V3f(0, 0, -1), 1e30f};
 
 TEST(EmbreeSceneTest, TransmittancesMultiply) {
   const OpenTracer tracer(Sheets({0.5f, 0.25f, 0.f}, AlphaMode::kBlend), 1, 1, 0);
-  EXPECT_FLOAT_EQ(tracer.embree().Transmittance(kForward), 0.375f);
-  EXPECT_FLOAT_EQ(tracer.embree().Transmittance({kForward.origin, kForward.direction, 1.5f}), 0.5f);
+  EXPECT_NEAR(tracer.embree().Transmittance(kForward), 0.375f, 1e-6);
+  EXPECT_NEAR(tracer.embree().Transmittance({kForward.origin, kForward.direction, 1.5f}), 0.5f,
+              1e-6);
   EXPECT_EQ(tracer.embree().Transmittance({kForward.origin, kForward.direction, 0.5f}), 1);
+  const OpenTracer faint(Sheets(std::vector<float>(50, 0.001f), AlphaMode::kBlend), 1, 1, 0);
+  EXPECT_NEAR(faint.embree().Transmittance(kForward), std::pow(0.999, 50), 2e-6);
+}
+
+// Products of floats would depend on the order in which traversal meets the surfaces.
+TEST(EmbreeSceneTest, TransmittanceDoesNotDependOnTheOrderOfSurfaces) {
+  std::vector<float> alphas;
+  for (int i = 0; i < 12; ++i) alphas.push_back(0.03f + 0.041f * static_cast<float>(i * i % 11));
+  const OpenTracer tracer(Sheets(alphas, AlphaMode::kBlend), 1, 1, 0);
+  const float expected = tracer.embree().Transmittance(kForward);
+  EXPECT_GT(expected, 0.001f);
+  for (uint64_t seed = 1; seed <= 20; ++seed) {
+    for (size_t i = alphas.size() - 1; i > 0; --i) {
+      std::swap(alphas[i], alphas[MixBits(seed * 100 + i) % (i + 1)]);
+    }
+    const OpenTracer other(Sheets(alphas, AlphaMode::kBlend), 1, 1, 0);
+    EXPECT_EQ(other.embree().Transmittance(kForward), expected) << seed;
+  }
 }
 
 TEST(EmbreeSceneTest, OpaqueMaterialsIgnoreAlphaAndMasksCut) {
