@@ -73,6 +73,11 @@ std::vector<LightGuide::Point> LightGuide::TracePaths(const Parts& parts) {
       // Off the surface, where its rays start.
       const V3f origin =
           OffsetRayOrigin(surface.position, surface.geometric_normal, surface.coordinate_max);
+      // A triangle without area has no normal; what is not finite has no place.
+      if (!(surface.geometric_normal.dot(surface.geometric_normal) > 0.5f) ||
+          !(MaxAbs(origin) < kInfinity)) {
+        break;
+      }
       points.push_back({origin, surface.geometric_normal});
       // On by the cosine, as from a diffuse surface.
       const V2f u = sampler.Get2D(static_cast<uint32_t>(bounce) + 1);
@@ -199,8 +204,9 @@ double LightGuide::Irradiance(const Parts& parts, LightGroup group, std::span<co
         const V3f target = OffsetRayOrigin(light.point, light.point_normal, coordinate_max);
         shadow = {p.position, target - p.position, 1};
       }
-      sum += double{Luminance(light.radiance) * cosine} / light.pdf *
-             parts.embree.Transmittance(shadow);
+      const double seen = double{Luminance(light.radiance)} * cosine / light.pdf;
+      if (!(seen < kInfinity)) continue;  // the light's density is zero, or too small for a float
+      sum += seen * parts.embree.Transmittance(shadow);
     }
   }
   return sum / (kLightSamples * static_cast<double>(points.size()));

@@ -102,6 +102,35 @@ TEST(LightGuideTest, SharesFollowTheLightThatArrives) {
   EXPECT_NEAR(shares[0] + shares[1] + shares[2], 1, 1e-6);
 }
 
+// Lamps on surfaces, lights too bright for a float and triangles without area: what the pilot sees
+// of them is not finite, what it learns is.
+TEST(LightGuideTest, LearnsFiniteSharesFromInfiniteTerms) {
+  auto scene = Room();
+  PunctualLight lamp;
+  lamp.type = LightType::kPoint;
+  lamp.intensity = V3f(3e38f);
+  for (float z : {-1.f, 0.f, 1.f}) {
+    lamp.position = V3f(-2 + 1e-20f, 0, z);
+    scene->lights.push_back(lamp);
+  }
+  lamp.type = LightType::kDirectional;
+  lamp.direction = V3f(-1, -0.1f, 0).normalized();
+  scene->lights.push_back(lamp);
+  AddMesh(Quad(0, {-1.9f, -2, -2}, {0, 0, 0}, {0, 4, 0}), scene.get());
+  OpenTracer tracer(std::move(scene), 16, 16, 4);
+  tracer.Guide();
+  for (int i = 0; i < 100; ++i) {
+    const V3f p(-2, 0.03f * static_cast<float>(i - 50), 0.02f * static_cast<float>(i - 50));
+    const LightShares& shares = tracer.guide().At(p, {1, 0, 0})->shares;
+    float sum = 0;
+    for (float share : shares) {
+      EXPECT_GE(share, 0.09f);
+      sum += share;
+    }
+    EXPECT_NEAR(sum, 1, 1e-5);
+  }
+}
+
 TEST(LightGuideTest, IsAPureFunctionOfTheScene) {
   OpenTracer a(Room(), 16, 16, 4), b(Room(), 16, 16, 4);
   a.Guide();
