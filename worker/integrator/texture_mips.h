@@ -16,8 +16,10 @@ namespace tessera {
 class TextureMips {
  public:
   TextureMips() = default;  // no levels
-  // Averages by area, in linear light; alpha is left out. Borrows nothing.
-  explicit TextureMips(const Texture& texture);
+  // Averages by area, in linear light; with `weighted` by alpha too, so that texels that nobody sees
+  // do not colour those beside them. Alpha itself has no levels: every sample of a pixel decides it
+  // at full size. Borrows nothing.
+  explicit TextureMips(const Texture& texture, bool weighted = false);
 
   int num_levels() const { return static_cast<int>(levels_.size()); }
   // The level to read where the path's cone is `footprint` texels of the full size wide: its texels
@@ -35,8 +37,12 @@ class TextureMips {
     std::vector<uint16_t> rgb;  // row-major
   };
   // `texel(index, c)`: channel c of texel `index` of the width x height above, as a 16-bit code.
+  // `alphas`: of those texels; replaced by the new level's. Empty: all the same.
   template <typename Texel>
-  static Level Halve(int width, int height, const Texel& texel);
+  static Level Halve(int width, int height, const Texel& texel, std::vector<float>* alphas);
+  // Gives texels that are quite invisible the colour of the level below (pull-push: Gortler et al.
+  // 1996, "The Lumigraph"), since reading interpolates.
+  void FillInvisible(const std::vector<std::vector<float>>& alphas);
 
   std::vector<Level> levels_;  // entry 0 is level 1
 };

@@ -56,6 +56,31 @@ TEST(TextureMipsTest, ConstantTexturesStayConstant) {
   }
 }
 
+// Red leaves, scattered and in one half only, on green that alpha hides: red at every level, also
+// where no leaf is near.
+TEST(TextureMipsTest, WeightedByAlphaShowNothingOfHiddenTexels) {
+  for (bool scattered : {true, false}) {
+    Texture t = MakeTexture(24, 17, 0);
+    for (int y = 0; y < t.height; ++y) {
+      for (int x = 0; x < t.width; ++x) {
+        uint8_t* rgba = &t.rgba[static_cast<size_t>(4 * (y * t.width + x))];
+        const bool leaf = scattered ? MixBits(static_cast<uint64_t>(91 * x + y)) % 5 == 0 : x < 6;
+        rgba[leaf ? 0 : 1] = 255;
+        rgba[3] = leaf ? 255 : 0;
+      }
+    }
+    const TextureMips weighted(t, true), plain(t);
+    for (int level = 1; level <= weighted.num_levels(); ++level) {
+      for (float u : {0.05f, 0.2f, 0.3f, 0.6f, 0.95f}) {
+        const Imath::V3f seen = weighted.Lookup(t, TextureRef(), {u, 0.4f}, level);
+        EXPECT_NEAR(seen.x, 1, 1e-4) << level << " " << u;
+        EXPECT_NEAR(seen.y, 0, 1e-4) << level << " " << u;
+      }
+    }
+    EXPECT_GT(plain.Lookup(t, TextureRef(), {0.6f, 0.4f}, plain.num_levels()).y, 0.5f);
+  }
+}
+
 TEST(TextureMipsTest, TexelsAreAtMostHalfOfTheFootprint) {
   const TextureMips mips(MakeTexture(64, 64));
   EXPECT_EQ(mips.num_levels(), 6);
