@@ -151,7 +151,7 @@ LightBounds LightSampler::TriangleBounds(uint32_t instance, uint32_t triangle, f
   for (int i = 0; i < kSteps; ++i) {
     for (int j = 0; i + j < kSteps; ++j) {
       const float u = (i + 1.f / 3) / kSteps, v = (j + 1.f / 3) / kSteps;
-      sum += Luminance(surfaces_.Emission(instance, triangle, u, v));
+      sum += Luminance(surfaces_.Emission(instance, triangle, u, v, 1));
     }
   }
   const float mean = sum / (kSteps * (kSteps + 1) / 2);
@@ -278,7 +278,7 @@ bool LightSampler::SampleTriangle(const LocalLight& light, const V3f& receiver, 
   sample->point_normal = normal2 * ((cosine > 0 ? -1.f : 1.f) / area2);
   const bool turned = surfaces_.geometry(light.instance).transform.mirrors;
   const float v2 = turned ? c : b, v3 = turned ? b : c;
-  sample->radiance = surfaces_.Emission(light.instance, light.index, v2, v3);
+  sample->radiance = surfaces_.Emission(light.instance, light.index, v2, v3, cosine);
   // The shadow ray ends before the light: what rays would pass is taken off here.
   const Mesh& mesh = *surfaces_.geometry(light.instance).mesh;
   if (scene_.materials[mesh.material].alpha_mode != AlphaMode::kOpaque) {

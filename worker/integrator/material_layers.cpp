@@ -14,8 +14,6 @@ using Imath::V3f;
 
 namespace {
 
-constexpr float kClearcoatF0 = 0.04f;  // index 1.5
-
 // Smaller widths have their energy within a degree of the horizon.
 constexpr float kSheenRoughnessMin = 0.07f;
 

@@ -15,6 +15,8 @@ namespace tessera {
 
 struct BsdfValue;
 
+inline constexpr float kClearcoatF0 = 0.04f;  // index 1.5
+
 struct LayerParameters {
   float clearcoat = 0;  // weight
   float clearcoat_roughness = 0;

@@ -6,6 +6,8 @@
 #include <cmath>
 #include <map>
 
+#include "worker/integrator/material_layers.h"
+#include "worker/integrator/microfacet.h"
 #include "worker/integrator/onb.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/ray_offset.h"
@@ -86,19 +88,27 @@ SurfaceReader::SurfaceReader(const Scene& scene, std::span<const InstanceGeometr
     texture_has_alpha_.push_back(has_alpha);
   }
   std::vector<uint8_t> is_prefiltered(scene.textures.size(), 0);
+  texture_is_weighted_.assign(scene.textures.size(), 0);
   for (const Material& material : scene.materials) {
-    if (IsPrefiltered(material)) is_prefiltered[material.base_color_texture.texture] = 1;
+    const int texture = material.base_color_texture.texture;
+    if (texture < 0) continue;
+    is_prefiltered[texture] = 1;
+    if (HidesTexels(material)) texture_is_weighted_[texture] = 1;
   }
   mips_.resize(scene.textures.size());
   tbb::parallel_for(size_t{0}, mips_.size(), [&](size_t i) {
-    if (is_prefiltered[i]) mips_[i] = TextureMips(scene.textures[i]);
+    if (is_prefiltered[i]) mips_[i] = TextureMips(scene.textures[i], texture_is_weighted_[i] != 0);
   });
+}
+
+bool SurfaceReader::HidesTexels(const Material& material) const {
+  const int texture = material.base_color_texture.texture;
+  return texture >= 0 && material.alpha_mode != AlphaMode::kOpaque && texture_has_alpha_[texture];
 }
 
 bool SurfaceReader::IsPrefiltered(const Material& material) const {
   const int texture = material.base_color_texture.texture;
-  return texture >= 0 &&
-         (material.alpha_mode == AlphaMode::kOpaque || !texture_has_alpha_[texture]);
+  return texture >= 0 && HidesTexels(material) == (texture_is_weighted_[texture] != 0);
 }
 
 bool SurfaceReader::HasAlpha(const Mesh& mesh) const {
@@ -127,7 +137,8 @@ float SurfaceReader::Alpha(uint32_t instance, uint32_t triangle, float u, float 
   return material.alpha_mode == AlphaMode::kBlend ? Clamp01(alpha) : 1.f;
 }
 
-V3f SurfaceReader::Emission(uint32_t instance, uint32_t triangle, float u, float v) const {
+V3f SurfaceReader::Emission(uint32_t instance, uint32_t triangle, float u, float v,
+                            float cosine) const {
   const Mesh& mesh = *geometries_[instance].mesh;
   const Material& material = scene_.materials[mesh.material];
   V3f emission = material.emission;
@@ -136,7 +147,22 @@ V3f SurfaceReader::Emission(uint32_t instance, uint32_t triangle, float u, float
                                  TextureUv(mesh, ref, mesh.triangles[triangle], u, v));
     emission *= V3f(texel.x, texel.y, texel.z);
   }
+  if (material.clearcoat > 0) emission *= ThroughClearcoat(mesh, triangle, u, v, cosine);
   return emission;
+}
+
+float SurfaceReader::ThroughClearcoat(const Mesh& mesh, uint32_t triangle, float u, float v,
+                                      float cosine) const {
+  const Material& material = scene_.materials[mesh.material];
+  float clearcoat = material.clearcoat;
+  if (const TextureRef& ref = material.clearcoat_texture; ref.texture >= 0) {
+    clearcoat *= LookupLinear(scene_.textures[ref.texture], ref,
+                              TextureUv(mesh, ref, mesh.triangles[triangle], u, v))
+                     .x;
+  }
+  const float fresnel =
+      kClearcoatF0 + (1 - kClearcoatF0) * SchlickWeight(Clamp01(std::fabs(cosine)));
+  return 1 - clearcoat * fresnel;
 }
 
 WorldTriangle SurfaceReader::TriangleOf(uint32_t instance, uint32_t triangle) const {
@@ -168,6 +194,8 @@ SurfaceReader::Constants SurfaceReader::ConstantsOf(const Material& material,
   c.absorption = AbsorptionOf(material);
   const V3f base(material.base_color.x, material.base_color.y, material.base_color.z);
   c.emission = material.unlit ? base : material.emission;
+  c.emits_by_place = !material.unlit && MaxComponent(material.emission) > 0 &&
+                     (material.emission_texture.texture >= 0 || material.clearcoat > 0);
   c.bsdf.base_color = {Clamp01(base.x), Clamp01(base.y), Clamp01(base.z)};
   c.bsdf.metallic = material.metallic;
   c.bsdf.roughness = material.roughness;
@@ -288,9 +316,7 @@ void SurfaceReader::ReadTextures(const Place& place, float cone_width, Surface* 
     const V4f c = Interpolate(place.mesh.colors, place.corner, place.hit.u, place.hit.v);
     base *= V3f(c.x, c.y, c.z);
   }
-  surface->emission =
-      material.unlit ? base
-                     : Emission(place.hit.instance, place.hit.triangle, place.hit.u, place.hit.v);
+  if (material.unlit) surface->emission = base;
   BsdfParameters& p = surface->bsdf;
   p.base_color = {Clamp01(base.x), Clamp01(base.y), Clamp01(base.z)};
   if (material.metallic_roughness_texture.texture >= 0) {
@@ -390,6 +416,9 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo, float cone_width) 
   s.bsdf = constants.bsdf;
   s.bsdf.entering = s.front_face;
   if (constants.textured || !mesh.colors.empty()) ReadTextures(place, cone_width, &s);
+  if (constants.emits_by_place) {
+    s.emission = Emission(hit.instance, hit.triangle, hit.u, hit.v, ng.dot(wo));
+  }
   // The inside of a solid has no layers.
   const bool is_outside = s.front_face || s.bsdf.thin_walled || !constants.transmits;
   if (constants.has_layers && is_outside) ReadLayers(place, smooth, wo, &s);

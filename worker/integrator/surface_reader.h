@@ -65,7 +65,10 @@ class SurfaceReader {
   Surface Read(const RayHit& hit, const V3f& wo, float cone_width = 0) const;
   // Coverage in [0, 1] of a point of a triangle; 0 or 1 for AlphaMode::kMask.
   float Alpha(uint32_t instance, uint32_t triangle, float u, float v) const;
-  V3f Emission(uint32_t instance, uint32_t triangle, float u, float v) const;
+  // Radiance that a point of a triangle sends out; `cosine`: between its geometric normal and the
+  // direction, of either sign. A clear coat lets through what it does not reflect
+  // (KHR_materials_clearcoat), by the geometric normal, so that hits and light samples agree.
+  V3f Emission(uint32_t instance, uint32_t triangle, float u, float v, float cosine) const;
   WorldTriangle TriangleOf(uint32_t instance, uint32_t triangle) const;
 
   // Whether any point of the material may have an alpha below 1 / may emit (unlit does not count).
@@ -80,9 +83,13 @@ class SurfaceReader {
   struct Place;
   V3f SmoothNormal(const Place& place) const;
   V3f MappedNormal(const Place& place, const TextureRef& map, float scale, const V3f& smooth) const;
-  // Whether the base colour's texture has levels to read. Not where alpha hides texels: an average
-  // would mix in colours that nobody sees.
+  // Whether alpha may hide texels of the base colour's texture.
+  bool HidesTexels(const Material& material) const;
+  // Whether the base colour's texture has levels to read: one that hides texels in one material and
+  // shows all in another has them for the former only.
   bool IsPrefiltered(const Material& material) const;
+  // Share of the emission below the clear coat that leaves it.
+  float ThroughClearcoat(const Mesh& mesh, uint32_t triangle, float u, float v, float cosine) const;
   V4f Texel(const Place& place, const TextureRef& ref) const;
   V4f SrgbTexel(const Place& place, const TextureRef& ref) const;
   V3f FilteredColor(const Place& place, const TextureRef& ref, float cone_width) const;
@@ -94,6 +101,7 @@ class SurfaceReader {
   struct Constants {
     bool textured;  // anything but normals
     bool has_normal_map, has_layers, unlit, transmits;
+    bool emits_by_place;       // by a texture, or through a clear coat
     V3f emission, absorption;  // absorption: 1/m
     BsdfParameters bsdf;
   };
@@ -105,6 +113,7 @@ class SurfaceReader {
   std::vector<Constants> constants_;        // by material
   std::vector<TextureMips> mips_;           // by texture; levels for base colours only
   std::vector<uint8_t> texture_has_alpha_;  // by texture
+  std::vector<uint8_t> texture_is_weighted_;  // by texture; its levels are, by alpha
 };
 
 }  // namespace tessera

@@ -128,6 +128,34 @@ TEST(PathTracerTest, StrategiesAgreeAboutEmittersWithAlpha) {
   }
 }
 
+// KHR_materials_clearcoat: emission is dimmed by what the coat reflects, whatever finds it.
+TEST(PathTracerTest, AClearcoatDimsTheEmissionBelowIt) {
+  Material glow = Emitter(V3f(4));
+  glow.clearcoat = 0.75f;
+  for (float angle : {0.f, 0.5f, 1.4f}) {
+    auto scene = std::make_unique<Scene>();
+    AddMesh(Quad(AddMaterial(glow, scene.get()), {-9, 0, -9}, {0, 0, 18}, {18, 0, 0}), scene.get());
+    scene->camera = Camera({std::sin(angle), std::cos(angle), 0}, {0, 0, 0}, 0.1f);
+    const double fresnel = 0.04 + 0.96 * std::pow(1 - std::cos(angle), 5);
+    ExpectRadiance(RenderMoments(std::move(scene), Small(0), 4), 4 * (1 - 0.75 * fresnel), 1e-3);
+  }
+  std::array<RadianceMoments, 3> seen;
+  for (LightStrategy strategy :
+       {LightStrategy::kBoth, LightStrategy::kBsdfOnly, LightStrategy::kLightsOnly}) {
+    auto scene = Floor(Lambert(V3f(0.6f)));
+    AddMesh(Quad(AddMaterial(glow, scene.get()), {-1, 0.5f, -1}, {2, 0, 0}, {0, 0, 2}),
+            scene.get());
+    scene->camera = Camera({0, 0.4f, 0.001f}, {0, 0, 0}, 20);
+    const OpenTracer tracer(std::move(scene), 4, 4, 0, strategy);
+    seen[static_cast<size_t>(strategy)] = tracer.Render(256, 8);
+  }
+  for (const RadianceMoments& m : seen) {
+    const double error = std::hypot(m.standard_error[0], seen[2].standard_error[0]);
+    EXPECT_NEAR(m.mean[0], seen[2].mean[0], 5 * error + 1e-4);  // 5 sigma: 1 in 10^6
+    EXPECT_LT(error, 0.05 * m.mean[0]);
+  }
+}
+
 TEST(PathTracerTest, UniformSkyOverAnOpenPlane) {
   auto scene = Floor(Lambert(V3f(0.7f)));
   scene->environment.emplace();
@@ -176,6 +204,16 @@ TEST(PathTracerTest, WhiteFurnaceOfObjectsInAUniformSky) {
     materials.push_back(glass);
     glass.thickness = 1;
     materials.push_back(glass);
+    // Everything at once, over each base.
+    for (Material layered : {coated, metal, glass}) {
+      layered.clearcoat = 1;
+      layered.clearcoat_roughness = roughness;
+      layered.sheen_color = V3f(1);
+      layered.sheen_roughness = 0.5f;
+      layered.attenuation_distance = 0.1f;  // of white: absorbs nothing
+      layered.transmission *= 0.5f;
+      materials.push_back(layered);
+    }
   }
   for (const Material& material : materials) {
     auto scene = std::make_unique<Scene>();
