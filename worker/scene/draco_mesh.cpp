@@ -1,6 +1,7 @@
 #include "worker/scene/draco_mesh.h"
 
-#include <draco/compression/decode.h>
+#include <draco/compression/mesh/mesh_edgebreaker_decoder.h>
+#include <draco/compression/mesh/mesh_sequential_decoder.h>
 #include <draco/mesh/mesh.h>
 
 #include <cstring>
@@ -17,6 +18,10 @@ namespace {
 constexpr uint64_t kFacesPerByteMax = 1000;
 constexpr uint64_t kFacesFree = 1000000;
 constexpr int kMetadataDepthMax = 8;
+// The same for numbers: components of all attributes at all points.
+constexpr uint64_t kValuesPerByteMax = 1000;
+constexpr uint64_t kValuesFree = 32 << 20;
+constexpr int kComponentsMax = 4;  // of an attribute in glTF
 
 // The head of a block, field by field (Draco bitstream 2.2, sections 3 and 4).
 class DracoHead {
@@ -77,6 +82,55 @@ absl::Status Wrong(const std::string& path, std::string_view problem) {
   return absl::InvalidArgumentError(absl::StrCat(path, ".extensions.KHR_draco_mesh_compression: ",
                                                  absl::string_view(problem.data(), problem.size()),
                                                  "; export the file again"));
+}
+
+// Draco's decoders, stopped after the heads of the attributes, which promise what is then allocated.
+template <typename Base>
+class BoundedDecoder : public Base {
+ public:
+  BoundedDecoder(uint64_t num_points, uint64_t num_bytes)
+      : num_points_(num_points),
+        values_max_(kValuesFree + kValuesPerByteMax * num_bytes) {}
+
+  // Empty, or why the block was not decoded.
+  const std::string& refusal() const { return refusal_; }
+
+ protected:
+  bool DecodeAllAttributes() override {
+    uint64_t components = 0;
+    for (int i = 0; i < this->point_cloud()->num_attributes(); ++i) {
+      const int own = this->point_cloud()->attribute(i)->num_components();
+      if (own > kComponentsMax) {
+        refusal_ = absl::StrCat("attribute ", i, " has ", own, " components, glTF's at most ",
+                                kComponentsMax);
+        return false;
+      }
+      components += static_cast<uint64_t>(own);
+    }
+    if (this->point_cloud()->num_points() > num_points_ ||
+        components * num_points_ > values_max_) {
+      refusal_ = absl::StrCat(this->point_cloud()->num_points(), " vertices of ", components,
+                              " numbers are more than POSITION and the block's size make credible");
+      return false;
+    }
+    return Base::DecodeAllAttributes();
+  }
+
+ private:
+  uint64_t num_points_, values_max_;
+  std::string refusal_;
+};
+
+template <typename Base>
+absl::Status DecodeBounded(const PrimitiveAccessors& primitive, draco::Mesh* mesh) {
+  const std::string_view bytes = primitive.draco.compressed;
+  draco::DecoderBuffer buffer;
+  buffer.Init(bytes.data(), bytes.size());
+  BoundedDecoder<Base> decoder(primitive.position.count, bytes.size());
+  const draco::Status decoded = decoder.Decode(draco::DecoderOptions(), &buffer, mesh);
+  if (!decoder.refusal().empty()) return Wrong(primitive.path, decoder.refusal());
+  if (decoded.ok()) return absl::OkStatus();
+  return Wrong(primitive.path, absl::StrCat("the block is damaged (", decoded.error_msg(), ")"));
 }
 
 template <typename T>
@@ -193,7 +247,8 @@ absl::StatusOr<DracoCounts> ReadDracoCounts(std::string_view compressed) {
   if (geometry != kMesh) return absl::InvalidArgumentError("the block is no mesh");
   if ((flags & kHasMetadata) != 0) head.SkipGeometryMetadata();
   DracoCounts counts;
-  if (method == kEdgebreaker) {
+  counts.edgebreaker = method == kEdgebreaker;
+  if (counts.edgebreaker) {
     head.Byte();                   // kind of traversal
     if (minor < 2) head.Varint();  // vertices that the encoder added
     counts.points = head.Varint();
@@ -210,16 +265,12 @@ absl::Status DecodeDraco(PrimitiveAccessors* primitive, std::vector<std::string>
   const DracoSource& source = primitive->draco;
   if (source.compressed.data() == nullptr) return absl::OkStatus();
   TESSERA_RETURN_IF_ERROR(CheckCounts(*primitive));
-
-  draco::DecoderBuffer buffer;
-  buffer.Init(source.compressed.data(), source.compressed.size());
-  draco::Decoder decoder;
-  auto decoded = decoder.DecodeMeshFromBuffer(&buffer);
-  if (!decoded.ok()) {
-    return Wrong(primitive->path,
-                 absl::StrCat("the block is damaged (", decoded.status().error_msg(), ")"));
-  }
-  const draco::Mesh& mesh = *decoded.value();
+  const absl::StatusOr<DracoCounts> counts = ReadDracoCounts(source.compressed);
+  if (!counts.ok()) return counts.status();
+  draco::Mesh mesh;
+  TESSERA_RETURN_IF_ERROR(
+      counts->edgebreaker ? DecodeBounded<draco::MeshEdgebreakerDecoder>(*primitive, &mesh)
+                          : DecodeBounded<draco::MeshSequentialDecoder>(*primitive, &mesh));
   if (mesh.num_points() != primitive->position.count) {
     return Wrong(primitive->path, absl::StrCat("the block has ", mesh.num_points(),
                                                " vertices, POSITION ", primitive->position.count));

@@ -25,14 +25,15 @@ struct DracoSource {
 struct DracoCounts {
   uint64_t faces = 0;
   uint64_t points = 0;  // edgebreaker: encoded vertices, which may be fewer
+  bool edgebreaker = false;
 };
 
 // Errors: INVALID_ARGUMENT (no Draco mesh, a version that is unknown, truncated).
 absl::StatusOr<DracoCounts> ReadDracoCounts(std::string_view compressed);
 
 // Decodes primitive->draco and points the accessors of its attributes and indices to the result,
-// which `storage` holds. Refuses blocks that do not hold what the accessors promise before it
-// allocates. Errors: INVALID_ARGUMENT. Threads: any number at once.
+// which `storage` holds. Refuses blocks that do not hold what the accessors promise, or more than
+// their size makes credible, before it allocates. Errors: INVALID_ARGUMENT. Threads: any number at once.
 absl::Status DecodeDraco(PrimitiveAccessors* primitive, std::vector<std::string>* storage);
 
 }  // namespace tessera

@@ -26,8 +26,9 @@ struct Encoded {
   int position_id = 0, normal_id = 0, uv_id = 0;
 };
 
-// The unit square in z = 0 as a grid, with normals (0, 0, 1) and uv = 4 (x, y).
-Encoded EncodeGrid(int method, bool with_metadata = false) {
+// The unit square in z = 0 as a grid, with normals (0, 0, 1) and uv = 4 (x, y); `extra`: components
+// of one attribute more, if any.
+Encoded EncodeGrid(int method, bool with_metadata = false, int8_t extra = 0) {
   draco::TriangleSoupMeshBuilder builder;
   builder.Start(kTriangles);
   Encoded out;
@@ -37,6 +38,7 @@ Encoded EncodeGrid(int method, bool with_metadata = false) {
   const int position = add(draco::GeometryAttribute::POSITION, 3);
   const int normal = add(draco::GeometryAttribute::NORMAL, 3);
   const int uv = add(draco::GeometryAttribute::TEX_COORD, 2);
+  const int more = extra > 0 ? add(draco::GeometryAttribute::GENERIC, extra) : -1;
   int face = 0;
   for (int y = 0; y < kSide; ++y) {
     for (int x = 0; x < kSide; ++x) {
@@ -56,6 +58,10 @@ Encoded EncodeGrid(int method, bool with_metadata = false) {
         builder.SetAttributeValuesForFace(position, f, p[0], p[1], p[2]);
         builder.SetAttributeValuesForFace(normal, f, n[0], n[1], n[2]);
         builder.SetAttributeValuesForFace(uv, f, t[0], t[1], t[2]);
+        if (extra > 0) {
+          const std::vector<float> values(static_cast<size_t>(extra), 0.5f);
+          builder.SetAttributeValuesForFace(more, f, values.data(), values.data(), values.data());
+        }
       }
     }
   }
@@ -179,6 +185,15 @@ TEST(DracoMeshLimits, BombsAreRefused) {
   file.json["accessors"][1]["count"] = 3000000000u;
   for (int a : {0, 2, 3}) file.json["accessors"][a]["count"] = 1000000000u;
   EXPECT_THAT(file.LoadError(), HasSubstr("are not credible"));
+}
+
+// Attributes wider than glTF has cost memory at every vertex for a few bytes in the block.
+TEST(DracoMeshLimits, WideAttributesAreRefusedBeforeTheirValuesAreDecoded) {
+  for (int method : {int{draco::MESH_SEQUENTIAL_ENCODING}, int{draco::MESH_EDGEBREAKER_ENCODING}}) {
+    EXPECT_TRUE(FileOf(EncodeGrid(method, false, 4)).Load().ok());
+    EXPECT_THAT(FileOf(EncodeGrid(method, false, 100)).LoadError(),
+                HasSubstr("attribute 3 has 100 components, glTF's at most 4"));
+  }
 }
 
 TEST(DracoMeshLimits, WrongFieldsAreNamed) {
