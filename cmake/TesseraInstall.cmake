@@ -1,9 +1,22 @@
 # `cmake --install`: the three programs, and the client library for find_package(tessera).
-# Components: runtime (programs, bash completion) and development (library, headers).
+# Components: runtime (programs, bash completion) and development (library, headers). Programs go
+# to libexec, by the x86-64 level they are compiled for, launchers to bin: builds for several levels
+# are installed into one prefix, and each processor gets the fastest that it runs.
 include(CMakePackageConfigHelpers)
 
+set(tessera_copy ${CMAKE_INSTALL_LIBEXECDIR}/tessera/${TESSERA_ISA_LEVEL})
 install(TARGETS tessera tessera-server tessera-worker
-  RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT runtime)
+  RUNTIME DESTINATION ${tessera_copy} COMPONENT runtime)
+# `tessera chart` looks beside the program that runs.
+file(RELATIVE_PATH chart_from_copy
+  /prefix/${tessera_copy} /prefix/${CMAKE_INSTALL_BINDIR}/tessera-chart)
+install(CODE "file(CREATE_LINK ${chart_from_copy}
+  \"\$ENV{DESTDIR}\${CMAKE_INSTALL_PREFIX}/${tessera_copy}/tessera-chart\" SYMBOLIC)"
+  COMPONENT runtime)
+foreach(program tessera tessera-server tessera-worker)
+  install(PROGRAMS $<TARGET_FILE:${program}-launcher> RENAME ${program}
+    DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT runtime)
+endforeach()
 install(FILES ${PROJECT_SOURCE_DIR}/deploy/completion/tessera
   DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions COMPONENT runtime)
 

@@ -4,6 +4,13 @@ option(TESSERA_BENCH "Build the benchmarks" ON)
 option(TESSERA_WERROR "Treat warnings as errors" OFF)
 set(TESSERA_SANITIZE "" CACHE STRING "Sanitizers, comma-separated: address,undefined or thread")
 
+set(TESSERA_ISA_LEVEL x86-64-v3 CACHE STRING
+  "Oldest processors that the programs run on: x86-64-v2 (2009) or x86-64-v3 (2013)")
+set_property(CACHE TESSERA_ISA_LEVEL PROPERTY STRINGS x86-64-v2 x86-64-v3)
+if(NOT TESSERA_ISA_LEVEL MATCHES "^x86-64-v[23]$")
+  message(FATAL_ERROR "TESSERA_ISA_LEVEL is '${TESSERA_ISA_LEVEL}': give x86-64-v2 or x86-64-v3")
+endif()
+
 set(CMAKE_CXX_STANDARD 20)
 set(CMAKE_CXX_STANDARD_REQUIRED ON)
 set(CMAKE_CXX_EXTENSIONS OFF)
@@ -23,7 +30,7 @@ endif()
 add_library(tessera_flags INTERFACE)
 add_library(tessera::flags ALIAS tessera_flags)
 target_compile_options(tessera_flags INTERFACE
-  -march=x86-64-v3 -ffp-contract=off -fno-math-errno
+  -march=${TESSERA_ISA_LEVEL} -ffp-contract=off -fno-math-errno
   -Wall -Wextra -Wshadow -Wnon-virtual-dtor -Wold-style-cast -Woverloaded-virtual -Wimplicit-fallthrough
   $<$<BOOL:${TESSERA_WERROR}>:-Werror>
   $<$<CXX_COMPILER_ID:Clang>:-Wthread-safety>)

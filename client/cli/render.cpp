@@ -38,10 +38,10 @@ class RenderCommand {
     absl::StatusOr<OutputPlan> plan = PlanOutputs(flags_.output);
     if (!plan.ok()) return plan.status();
     plan_ = *std::move(plan);
-    const absl::StatusOr<SceneSubmission> submission = PrepareSubmission(flags_.scene);
+    absl::StatusOr<SceneSubmission> submission = PrepareSubmission(flags_.scene);
     if (!submission.ok()) return submission.status();
     replay_digest_ = submission->replay_digest;
-    if (absl::Status isa = CheckIsa(submission->settings.isa()); !isa.ok()) return isa;
+    if (absl::Status isa = SettleIsa(&submission->settings); !isa.ok()) return isa;
     const absl::Status connected = ConnectOrStartFarm();
     if (!connected.ok()) return connected;
     absl::StatusOr<v1::Job> job = Submit(*client_, *submission, &progress_, interrupt_.token());
@@ -58,16 +58,28 @@ class RenderCommand {
   }
 
  private:
-  // Without a server there is no other machine to wait for.
-  absl::Status CheckIsa(const std::string& isa) const {
+  // Without a server there is no other machine to wait for: a class that was asked for must run
+  // here, and where the default does not, the widest that does is taken, and that is said.
+  absl::Status SettleIsa(v1::JobSettings* settings) const {
     const std::vector<std::string>& here = parts_.isa_classes;
-    const std::string wanted = isa.empty() ? std::string(kIsaClasses.front()) : isa;
+    const std::string wanted =
+        settings->isa().empty() ? std::string(kIsaClasses.front()) : settings->isa();
     if (!flags_.connect.server.empty() || std::ranges::find(here, wanted) != here.end()) {
+      return absl::OkStatus();
+    }
+    if (settings->isa().empty() && !here.empty()) {
+      settings->set_isa(here.front());
+      if (!flags_.quiet) {
+        std::fprintf(stderr,
+                     "tessera: this processor cannot run %s: rendering with --isa %s, whose bits "
+                     "differ from other machines'\n",
+                     wanted.c_str(), here.front().c_str());
+      }
       return absl::OkStatus();
     }
     return absl::InvalidArgumentError(absl::StrCat(
         "--isa ", wanted, ": this machine cannot run it, only ", absl::StrJoin(here, ", "),
-        ": drop the flag, or render on a farm with --server"));
+        ": choose one of these, or render on a farm with --server"));
   }
 
   absl::Status ConnectOrStartFarm() {

@@ -6,6 +6,6 @@
 namespace tessera {
 
 // What a job may ask for, the default first.
-inline constexpr std::array<const char*, 2> kIsaClasses = {"x86-64-v3", "x86-64-v4"};
+inline constexpr std::array<const char*, 3> kIsaClasses = {"x86-64-v3", "x86-64-v4", "x86-64-v2"};
 
 }  // namespace tessera

@@ -5,6 +5,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "core/base/isa_level.h"
 #include "worker/integrator/path_tracer.h"
 
 namespace tessera {
@@ -19,25 +20,12 @@ struct IsaClass {
 constexpr IsaClass kClasses[] = {
     {"x86-64-v4", "avx512"}, {"x86-64-v3", "avx2"}, {"x86-64-v2", "sse4.2"}};
 
-bool Runs(const std::string& name) {
-  if (name == "x86-64-v4") {
-    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-           __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
-           __builtin_cpu_supports("avx512vl");
-  }
-  if (name == "x86-64-v3") {
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
-           __builtin_cpu_supports("bmi2");
-  }
-  return __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
-}
-
 }  // namespace
 
 std::vector<std::string> SupportedIsaClasses() {
   std::vector<std::string> names;
   for (const IsaClass& c : kClasses) {
-    if (Runs(c.name)) names.push_back(c.name);
+    if (ProcessorRuns(c.name)) names.push_back(c.name);
   }
   return names;
 }
@@ -45,7 +33,7 @@ std::vector<std::string> SupportedIsaClasses() {
 absl::StatusOr<std::string> EmbreeIsaOf(const std::string& isa_class) {
   for (const IsaClass& c : kClasses) {
     if (isa_class != c.name) continue;
-    if (Runs(isa_class)) return std::string(c.embree);
+    if (ProcessorRuns(isa_class)) return std::string(c.embree);
     return absl::FailedPreconditionError(absl::StrCat("this machine cannot run ISA class ",
                                                       isa_class, "; it runs ",
                                                       absl::StrJoin(SupportedIsaClasses(), ", ")));
