@@ -16,9 +16,9 @@ namespace tessera {
 class TextureMips {
  public:
   TextureMips() = default;  // no levels
-  // Averages by area, in linear light; with `weighted` by alpha too, so that texels that nobody sees
-  // do not colour those beside them. Alpha itself has no levels: every sample of a pixel decides it
-  // at full size. Borrows nothing.
+  // Averages by area, in linear light; with `weighted` by alpha too, so that texels that nobody
+  // sees do not colour those beside them. Alpha itself has no levels: every sample of a pixel
+  // decides it at full size. Borrows nothing.
   explicit TextureMips(const Texture& texture, bool weighted = false);
 
   int num_levels() const { return static_cast<int>(levels_.size()); }

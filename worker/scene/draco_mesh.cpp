@@ -84,7 +84,7 @@ absl::Status Wrong(const std::string& path, std::string_view problem) {
                                                  "; export the file again"));
 }
 
-// Draco's decoders, stopped after the heads of the attributes, which promise what is then allocated.
+// Draco's decoders, stopped after the attributes' heads, which say what is then allocated.
 template <typename Base>
 class BoundedDecoder : public Base {
  public:

@@ -33,7 +33,8 @@ absl::StatusOr<DracoCounts> ReadDracoCounts(std::string_view compressed);
 
 // Decodes primitive->draco and points the accessors of its attributes and indices to the result,
 // which `storage` holds. Refuses blocks that do not hold what the accessors promise, or more than
-// their size makes credible, before it allocates. Errors: INVALID_ARGUMENT. Threads: any number at once.
+// their size makes credible, before it allocates. Errors: INVALID_ARGUMENT.
+// Threads: any number at once.
 absl::Status DecodeDraco(PrimitiveAccessors* primitive, std::vector<std::string>* storage);
 
 }  // namespace tessera
