@@ -190,19 +190,20 @@ def fitted_raw(counts: list[int], errors: list[float]):
 
 
 def measure(view, args, filters: list, counts: list[int]) -> dict:
-    """Multipliers by filter name: one for each of `counts`."""
+    """Multipliers by filter name, and of raw itself: one for each of `counts`."""
     films = Films(view, args, args.size)
     references = films.references()
     raw = [accuracy.rel_mse(accuracy.read_rgb(films.film(n)), *references)[0] for n in counts]
     samples, falling = fitted_raw(counts, raw)
     print(f"{view.name}: raw relMSE " + ", ".join(f"{e:.2e}" for e in raw)
           + f", slope {falling:.2f}", file=sys.stderr)
-    multipliers = {}
+    # How far the fit is from raw's own points.
+    multipliers = {"raw": [samples(e) / n for n, e in zip(counts, raw)]}
+    # An error below what two references can tell from nothing counts as that.
+    floor = reference_floor(*references)
     for member in filters:
         errors = [accuracy.rel_mse(accuracy.read_rgb(films.filtered(n, member)), *references)[0]
                   for n in counts]
-        # An error below what two references can tell from nothing counts as that.
-        floor = reference_floor(*references)
         multipliers[member.name] = [samples(max(e, floor)) / n for n, e in zip(counts, errors)]
     return multipliers
 
@@ -215,22 +216,27 @@ def reference_floor(r1, r2) -> float:
     return float(numpy.sqrt((noise ** 2).sum()) / noise.size)
 
 
+def row_of(label: str, count: int, values: list[float]) -> str:
+    """A row of the table, the largest multiplier in bold."""
+    cells = [f"**{v:.3g}**" if v == max(values) else f"{v:.3g}" for v in values]
+    return f"| {label} | {count} | " + " | ".join(cells) + " |"
+
+
 def print_table(args, filters: list, counts: list[int]) -> None:
-    print("| view | samples | " + " | ".join(f.name for f in filters) + " |")
-    print("|---|---|" + "---|" * len(filters))
-    logs = {f.name: [[] for _ in counts] for f in filters}
+    names = ["raw"] + [f.name for f in filters]
+    print("| view | samples | " + " | ".join(names) + " |")
+    print("|---|---|" + "---|" * len(names))
+    logs = {name: [[] for _ in counts] for name in names}
     for view in chosen_views(args):
         multipliers = measure(view, args, filters, counts)
         for i, n in enumerate(counts):
-            row = [multipliers[f.name][i] for f in filters]
-            for member, value in zip(filters, row):
-                logs[member.name][i].append(numpy.log(value))
-            cells = [f"**{v:.3g}**" if v == max(row) else f"{v:.3g}" for v in row]
-            print(f"| {view.name} | {n} | " + " | ".join(cells) + " |", flush=True)
+            row = [multipliers[name][i] for name in names]
+            for name, value in zip(names, row):
+                logs[name][i].append(numpy.log(value))
+            print(row_of(view.name, n, row), flush=True)
     for i, n in enumerate(counts):
-        row = [float(numpy.exp(numpy.mean(logs[f.name][i]))) for f in filters]
-        cells = [f"**{v:.3g}**" if v == max(row) else f"{v:.3g}" for v in row]
-        print(f"| geometric mean | {n} | " + " | ".join(cells) + " |")
+        row = [float(numpy.exp(numpy.mean(logs[name][i]))) for name in names]
+        print(row_of("geometric mean", n, row))
 
 
 def print_cost(args, filters: list) -> None:

@@ -261,10 +261,12 @@ class Completion(CommandLineCase):
 class Help(CommandLineCase):
     def test_flags_list_the_values_that_they_take(self):
         text = " ".join(self.expect_done("render", "--help").split())
-        for word in ["bilateral", "geometric", "none", "x86-64-v3", "x86-64-v4", "variance",
+        for word in ["bilateral", "nlm", "welch", "geometric", "none", "x86-64-v3", "x86-64-v4", "variance",
                      "samples", "film", "--replay"]:
             self.assertIn(word, text)
-        self.assertIn("bilateral", self.expect_done("denoise", "--help"))
+        text = self.expect_done("denoise", "--help")
+        for word in ["bilateral", "--half-a", "--half-b", "--albedo-variance", "--normal-b"]:
+            self.assertIn(word, text)
 
 
 if __name__ == "__main__":
