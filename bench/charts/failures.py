@@ -10,7 +10,8 @@ from glb_writer import GlbWriter
 
 def _room(name: str, lamp_side: float = 0.6, lamp_power: float = 12.0, floor_cells: int = 0,
           wall_cells: int = 0) -> GlbWriter:
-    """A box of 4x2.4x4 m, open to the camera, under a square lamp. Power in W per steradian."""
+    """A box of 4x2.4x4 m, open to the camera, under a square lamp that the camera does not see, for
+    its rim would outweigh all else. Power in W per steradian."""
     scene = GlbWriter(name)
 
     def surface(what, color, cells):
@@ -29,7 +30,7 @@ def _room(name: str, lamp_side: float = 0.6, lamp_power: float = 12.0, floor_cel
     radiance = lamp_power / lamp_side ** 2
     glow = scene.material("lamp", (0, 0, 0), emission=(radiance, radiance * 0.95, radiance * 0.85))
     half = lamp_side / 2
-    scene.add("lamp", shapes.quad((-half, 2.39, -half), (lamp_side, 0, 0), (0, 0, lamp_side)), glow)
+    scene.add("lamp", shapes.quad((-half, 2.39, 1.6 - half), (lamp_side, 0, 0), (0, 0, lamp_side)), glow)
     scene.camera("camera", (0, 1.2, 4.6), (0, 1.0, 0), 36.0)
     return scene
 

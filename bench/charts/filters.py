@@ -12,7 +12,7 @@ from charts import failures, pages
 from tessera_chart import drawing, ladder, methods, views
 
 SPP = 16
-REFERENCE_SPP = 512
+REFERENCE_SPP = 256
 SEEDS = [1, 2, 3]
 SIZE = "96x54"
 
@@ -117,6 +117,9 @@ def draw_sweeps(rows: list[dict], path: pathlib.Path) -> None:
                           elinewidth=0.8, capsize=1.5, **drawing.style(method, index))
         axes.axhline(1, color="black", linewidth=0.8)
         drawing.log_axes(axes)
+        values = sorted({r["severity"] for r in rows if r["failure"] == name})
+        axes.set_xticks(values, [f"{v:g}" for v in values])
+        axes.minorticks_off()
         axes.set_title(name, fontsize=10)
         axes.set_xlabel(SWEEPS[name][0])
     for line in grid:

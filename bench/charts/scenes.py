@@ -3,7 +3,7 @@
 import pathlib
 
 from charts import pages
-from tessera_chart import command, drawing, methods, report, results
+from tessera_chart import command, drawing, methods, programs, report, results
 
 # Name -> flags of the view; the project's own.
 OWN = {"cornell": "", "window_room": "--sky 3,3,3", "still_life": "", "veach_mis": "",
@@ -31,6 +31,13 @@ def _chart(args, scenes: list[str], method_names: list[str], folder: pathlib.Pat
     _run([*scenes, "-o", folder, "--tessera", args.build / "bin" / "tessera", "--methods",
           ",".join(method_names), *oidn, *(QUICK_FLAGS if args.quick else FLAGS)])
     return results.read_points(folder / "points.json")
+
+
+def _methods(args) -> list[str]:
+    """All filters, of the previews ours alone, and adaptive sampling."""
+    tessera = programs.Tessera(str(args.build / "bin" / "tessera"))
+    return [m.name for m in methods.filters_of(tessera.denoisers())
+            if m.quality == "final" or m.denoiser == "regression"] + [methods.ADAPTIVE]
 
 
 def _tables(rows: list[dict], names: list[str]) -> str:
@@ -74,7 +81,7 @@ def make(args, work: pathlib.Path, page: pathlib.Path | None) -> None:
     elif args.scenes:
         own += [f"{name}={args.scenes / file} {flags}" for name, (file, flags) in OTHERS.items()]
     names = [scene.split("=")[0] for scene in own]
-    chosen = ["raw", "regression", "geometric"] if args.quick else ["all", methods.ADAPTIVE]
+    chosen = ["raw", "regression", "geometric"] if args.quick else _methods(args)
     rows = _chart(args, own, chosen, folder)
     if args.cycles:
         # Slow to start, so on two scenes only; what is finished above is not done again.

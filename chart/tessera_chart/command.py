@@ -122,7 +122,7 @@ def work_through(ladders: list[ladder.Ladder], quiet: bool) -> None:
     with tqdm(total=total, bar_format=shown, disable=quiet or not sys.stderr.isatty(),
               leave=False) as bar:
         for each, task in tasks:
-            bar.set_description(f"{each.view.name}, {task.label}")
+            bar.set_description_str(f"{each.view.name}, {task.label}")
             task.run()
             bar.update(task.weight)
 

@@ -61,7 +61,7 @@ class Ladder:
         plan, rate = self.plan, 1.2e6  # samples a second, roughly
         todo = []
         if not plan.references:
-            weight = plan.pixels() * plan.reference_spp / rate
+            weight = 0.3 + plan.pixels() * plan.reference_spp / rate
             todo += [Task(f"reference {i + 1}", weight, lambda s=s: self._render_reference(s))
                      for i, s in enumerate(REFERENCE_SEEDS)]
         per_filter = 0.3 + 10e-6 * plan.pixels()
