@@ -18,38 +18,40 @@ COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
 
 
 @contextlib.contextmanager
-def _farm(bin_folder: pathlib.Path, num_workers: int, used: dict):
-    """A server and workers of one thread each on loopback; afterwards their CPU seconds in `used`."""
+def _farm(bin_folder: pathlib.Path, num_workers: int, log: pathlib.Path, used: dict):
+    """A server and workers of one thread each on loopback; afterwards their CPU seconds in `used`.
+
+    Errors: RuntimeError with the log's path if the server does not start.
+    """
     children = []
+    ports = log.with_suffix(".ports")
+    ports.unlink(missing_ok=True)
+    with log.open("w", encoding="utf-8") as file:
 
-    def start(*command, **streams):
-        child = subprocess.Popen([str(c) for c in command], **streams)
-        children.append(child)
-        return child
+        def start(*command):
+            children.append(subprocess.Popen([str(c) for c in command],
+                                             stdout=subprocess.DEVNULL, stderr=file))
 
-    try:
-        server = start(bin_folder / "tessera-server", "--listen", "127.0.0.1:0", "--http", "off",
-                       stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        said = ""
-        while "grpc_port=" not in said:
-            said = server.stderr.readline()
-            if not said:
-                raise RuntimeError("tessera-server did not start")
-        port = re.search(r"grpc_port=(\d+)", said).group(1)
-        for _ in range(num_workers):
-            start(bin_folder / "tessera-worker", "--server", f"127.0.0.1:{port}", "--threads", 1,
-                  stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        yield f"127.0.0.1:{port}"
-    finally:
-        used["cpu_s"] = 0.0
-        for child in reversed(children):
-            child.terminate()
-        for child in children:
-            if child.stderr:
-                child.stderr.close()
-            _, status, usage = os.wait4(child.pid, 0)
-            child.returncode = os.waitstatus_to_exitcode(status)
-            used["cpu_s"] += usage.ru_utime + usage.ru_stime
+        try:
+            start(bin_folder / "tessera-server", "--listen", "127.0.0.1:0", "--http", "off",
+                  "--port-file", ports)
+            while "GRPC=" not in (text := ports.read_text() if ports.is_file() else ""):
+                if children[0].poll() is not None:
+                    raise RuntimeError(f"tessera-server did not start, see {log}")
+                time.sleep(0.05)
+            port = re.search(r"GRPC=(\d+)\n", text).group(1)
+            for _ in range(num_workers):
+                start(bin_folder / "tessera-worker", "--server", f"127.0.0.1:{port}", "--threads", 1)
+            yield f"127.0.0.1:{port}"
+        finally:
+            used["cpu_s"] = 0.0
+            for child in reversed(children):
+                child.terminate()
+            for child in children:
+                if child.returncode is None:
+                    _, status, usage = os.wait4(child.pid, 0)
+                    child.returncode = os.waitstatus_to_exitcode(status)
+                    used["cpu_s"] += usage.ru_utime + usage.ru_stime
 
 
 def _wait_for_workers(tessera, address: str, count: int) -> None:
@@ -73,7 +75,7 @@ def measure_workers(tessera, bin_folder, scene, store: Store, quick: bool) -> li
             times = {}
             for spp in (few, many):
                 used: dict = {}
-                with _farm(bin_folder, count, used) as address:
+                with _farm(bin_folder, count, store.path("farm.log"), used) as address:
                     _wait_for_workers(tessera, address, count)
                     figures, _ = tessera.run(
                         "render", scene, "-o", store.path("farm.exr"), "--layers", "final", "--size",
@@ -123,7 +125,7 @@ def measure_growth(tessera, folder: pathlib.Path, store: Store, quick: bool) -> 
         height = width * 9 // 16
         # The fewer the pixels the more samples, so that the difference is long enough to be timed.
         add("pixels", width * height, plain, f"{width}x{height}",
-            many if quick else max(6, 20 * 160 ** 2 // width ** 2))
+            many if quick else max(12, 20 * 160 ** 2 // width ** 2))
     for count in (1000,) if quick else (100, 1000, 10000, 100000, 1000000):
         add("triangles", count,
             failures.write(failures.triangles(count), folder / f"triangles_{count}.glb"))
@@ -148,8 +150,20 @@ def _light_error(tessera, scene, count: int, size: str, store: Store, quick: boo
     return found["rel_mse_trimmed"]
 
 
+def simulate_workers(bench: pathlib.Path, store: Store, quick: bool) -> list[dict]:
+    """Real coordinator and sessions, simulated network, renderers and clock."""
+    found = store.get("simulated")
+    if found is None:
+        said = programs.run([str(bench), "4" if quick else "1000"]).stdout
+        found = {"rows": [{k: float(v) for k, v in row.items()}
+                          for row in csv.DictReader(said.splitlines())]}
+        store.put("simulated", found)
+    return [{"quantity": "simulated workers", "x": row["workers"], "seconds": row["seconds"],
+             "ideal_seconds": row["ideal_seconds"]} for row in found["rows"]]
+
+
 def draw(rows: list[dict], path: pathlib.Path) -> None:
-    figure, grid = pyplot.subplots(1, 4, figsize=(14, 3.3))
+    figure, grid = pyplot.subplots(1, 5, figsize=(17, 3.3))
 
     def of(quantity):
         return [r for r in rows if r["quantity"] == quantity]
@@ -163,20 +177,24 @@ def draw(rows: list[dict], path: pathlib.Path) -> None:
     axes = grid[0]
     axes.plot([r["x"] for r in workers], [workers[0]["cpu_s"] / r["cpu_s"] for r in workers],
               marker="o", markersize=4, color=COLORS[0], label="CPU of one worker / CPU")
-    axes.plot([r["x"] for r in workers], [workers[0]["seconds"] / r["seconds"] for r in workers],
-              marker="o", markersize=4, color=COLORS[1], label="speed-up (2 cores)")
     axes.plot([r["x"] for r in workers], [r["bytes"] / workers[0]["bytes"] for r in workers],
               marker="o", markersize=4, color=COLORS[2], label="bytes / bytes of one worker")
     axes.set_xticks([r["x"] for r in workers])
-    axes.set_ylim(0, 2.6)
+    axes.set_ylim(0, 1.5)
     axes.set_xlabel("workers of one thread, real")
-    for axes, quantity in zip(grid[1:], ("pixels", "triangles", "lights")):
+    simulated = of("simulated workers")
+    grid[1].plot([r["x"] for r in simulated], [r["ideal_seconds"] / r["seconds"] for r in simulated],
+                 marker="o", markersize=4, color=COLORS[3], label="efficiency, SIMULATED")
+    grid[1].set_ylim(0, 1.05)
+    grid[1].set_xlabel("workers of one thread, simulated")
+    drawing.log_axes(grid[1], y=False)
+    for axes, quantity in zip(grid[2:], ("pixels", "triangles", "lights")):
         line(axes, quantity, "us_per_sample", "CPU us a sample", 0)
         axes.set_xlabel(quantity)
-    line(grid[1], "pixels", "bytes_per_pixel", "bytes a pixel, 4 samples", 1)
-    line(grid[2], "triangles", "load_s", "load, s", 1)
-    line(grid[3], "lights", "rel_mse_trimmed", "relMSE of 16 samples, trimmed", 1)
-    for axes in grid[1:]:
+    line(grid[2], "pixels", "bytes_per_pixel", "bytes a pixel, 4 samples", 1)
+    line(grid[3], "triangles", "load_s", "load, s", 1)
+    line(grid[4], "lights", "rel_mse_trimmed", "relMSE of 16 samples, trimmed", 1)
+    for axes in grid[2:]:
         drawing.log_axes(axes)
     for axes in grid:
         axes.legend(fontsize=7)
@@ -192,9 +210,11 @@ def make(tessera: programs.Tessera, bin_folder: pathlib.Path, folder: pathlib.Pa
     rows = measure_growth(tessera, folder / "scenes", store, quick)
     plain = failures.write(failures.plain(), folder / "scenes" / "plain.glb")
     rows += measure_workers(tessera, bin_folder, plain, store, quick)
+    if (bin_folder / "simulated_scale").is_file():
+        rows += simulate_workers(bin_folder / "simulated_scale", store, quick)
     if len({r["digest"] for r in rows if "digest" in r}) != 1:
         raise RuntimeError("farms of different sizes gave different pictures")
-    columns = ["quantity", "x", "seconds", "cpu_s", "us_per_sample", "load_s", "rays_per_sample",
+    columns = ["quantity", "x", "seconds", "ideal_seconds", "cpu_s", "us_per_sample", "load_s", "rays_per_sample",
                "bytes", "bytes_per_pixel", "rel_mse_trimmed"]
     with (out / "scale.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")

@@ -53,9 +53,10 @@ class Farm {
     Watch();
     while (checkers_.violation().empty() && !done_ && time_.RunNext(plan_.end_us)) {
     }
+    const int64_t jobs_ended_ms = time_.now_us() / kMs;
     if (checkers_.violation().empty()) CheckEnd();
-    return {checkers_.violation(), checkers_.steps(), checkers_.counted(), network_.corrupted(),
-            time_.now_us() / kMs};
+    return {checkers_.violation(), checkers_.steps(),     checkers_.counted(),
+            network_.corrupted(),  time_.now_us() / kMs, jobs_ended_ms};
   }
 
  private:

@@ -16,6 +16,7 @@ struct SimulationResult {
   int64_t counted = 0;    // deltas that were taken
   int64_t corrupted = 0;  // deltas that were damaged on their way
   int64_t virtual_ms = 0;
+  int64_t jobs_ended_ms = 0;  // when the last job was seen to have ended
 };
 
 // `trace` gets a line for whatever happens; null = nobody wants to know.
