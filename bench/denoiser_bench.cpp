@@ -1,0 +1,314 @@
+// How good a filter is where the truth is known (docs/denoiser.md): for each input its error, what
+// it says of its own error, how often its 95 % intervals hold the truth and how wide they are, in
+// how many 32x32 blocks it does harm, and what it costs.
+//   denoiser_bench INPUT=REFERENCE[,REFERENCE] ... [--denoiser NAME] [--threads N] [--repeat N]
+// INPUT is a film (tessera render --layers film), or a folder of another renderer's images: color,
+// albedo, normal and depth, each as NAME.exr, NAMEA.exr, NAMEB.exr and NAMEVariance.exr.
+// With two independent references their noise is taken out; with one, harm alone is free of it.
+#include <CLI/CLI.hpp>
+#include <sys/resource.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
+#include "client/cli/denoise_input.h"
+#include "core/base/tile_grid.h"
+#include "core/denoise/confidence.h"
+#include "core/denoise/denoise_frame.h"
+#include "core/image/image_reader.h"
+#include "core/statistics/calibration.h"
+
+namespace tessera {
+namespace {
+
+constexpr int kBlockPx = 32;
+constexpr int kTruthRadiusPx = 2;      // the true squared error is averaged over 5x5 pixels
+constexpr int kReferenceRadiusPx = 4;  // the references' variance over 9x9
+constexpr double kHarmSlack = 1e-8;
+constexpr double kHarmLevel = 0.001;
+
+struct Options {
+  std::vector<std::string> inputs;
+  std::string denoiser;
+  int threads = 1;
+  int repeat = 1;
+};
+
+double UserSeconds() {
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_utime.tv_sec) +
+         1e-6 * static_cast<double>(usage.ru_utime.tv_usec);
+}
+
+absl::StatusOr<Planes3> ReadColor(const std::string& path, bool is_raw) {
+  const absl::StatusOr<Image> image = ReadImage(path);
+  if (!image.ok()) return image.status();
+  Planes3 color;
+  const char* const names[] = {"R", "G", "B"};
+  const char* const axes[] = {"X", "Y", "Z"};
+  for (size_t c = 0; c < 3; ++c) {
+    const ImageChannel* channel = nullptr;
+    if (is_raw) channel = image->Find(absl::StrCat("raw.", names[c]));
+    if (channel == nullptr) channel = image->Find(names[c]);
+    if (channel == nullptr) channel = image->Find(axes[c]);
+    if (channel == nullptr) {
+      return absl::InvalidArgumentError(absl::StrCat(path, " has no channel ", names[c]));
+    }
+    color[c] = channel->floats;
+  }
+  return color;
+}
+
+// The variance of the mean of two halves where the stored one underflowed.
+void RepairVariance(const Plane& a, const Plane& b, Plane* variance) {
+  for (size_t i = 0; i < variance->size(); ++i) {
+    if ((*variance)[i] > 0) continue;
+    (*variance)[i] = (a[i] - b[i]) * (a[i] - b[i]) / 4;
+  }
+}
+
+absl::StatusOr<FramePlanes> ReadFolder(const std::string& folder) {
+  const absl::StatusOr<Image> shape = ReadImage(folder + "/color.exr");
+  if (!shape.ok()) return shape.status();
+  FramePlanes planes(PixelRect::FromSize(0, 0, shape->width(), shape->height()));
+  Planes3 depth, depth_variance;
+  struct Target {
+    std::string name;
+    Planes3* to;
+  };
+  const Target targets[] = {{"color", &planes.color},
+                            {"colorA", &planes.color_half[0]},
+                            {"colorB", &planes.color_half[1]},
+                            {"colorVariance", &planes.sample_variance_of_mean},
+                            {"albedo", &planes.albedo},
+                            {"albedoVariance", &planes.albedo_variance},
+                            {"normal", &planes.normal},
+                            {"normalVariance", &planes.normal_variance},
+                            {"depth", &depth},
+                            {"depthVariance", &depth_variance}};
+  for (const Target& target : targets) {
+    absl::StatusOr<Planes3> color = ReadColor(absl::StrCat(folder, "/", target.name, ".exr"), false);
+    if (!color.ok()) return color.status();
+    *target.to = *std::move(color);
+  }
+  planes.depth = depth[0];
+  planes.depth_variance = depth_variance[0];
+  for (size_t c = 0; c < 3; ++c) {
+    RepairVariance(planes.color_half[0][c], planes.color_half[1][c],
+                   &planes.sample_variance_of_mean[c]);
+  }
+  std::ranges::fill(planes.samples, 4u);
+  std::ranges::fill(planes.coverage, 1.0f);
+  CalibrateVariance(planes.bounds, &planes);
+  return planes;
+}
+
+// Two references; the same one twice if there is no other.
+struct Truth {
+  Planes3 first, second;
+  bool is_one = false;
+
+  double Error(double value, size_t c, size_t i) const {
+    return (value - double{first[c][i]}) * (value - double{second[c][i]});
+  }
+  double Mean(size_t c, size_t i) const {
+    return (double{first[c][i]} + double{second[c][i]}) / 2;
+  }
+  double Scale(size_t c, size_t i) const { return 1 / (Mean(c, i) * Mean(c, i) + 0.01); }
+};
+
+// The mean of a function of pixels over the square around (x, y).
+template <typename Value>
+double Around(const PixelRect& bounds, int x, int y, int radius_px, const Value& value) {
+  const PixelRect near = PixelRect::FromSize(x, y, 1, 1).Expand(radius_px).Intersect(bounds);
+  double sum = 0;
+  for (int row = near.y_begin; row < near.y_end; ++row) {
+    for (int column = near.x_begin; column < near.x_end; ++column) {
+      sum += value(static_cast<size_t>(bounds.IndexOf(column, row)));
+    }
+  }
+  return sum / static_cast<double>(near.area());
+}
+
+struct Row {
+  double raw = 0, rel_mse = 0, trimmed = 0, promised = 0;
+  double coverage = 0, width = 0;
+  int num_blocks = 0, num_harmed = 0;
+  double worst_block = 0;
+};
+
+void MeasureErrors(const FramePlanes& planes, const FilteredPlanes& out, const Truth& truth,
+                   Row* row) {
+  const size_t num_pixels = out.color[0].size();
+  std::vector<double> pixels(num_pixels);
+  double promised = 0, noise = 0;
+  for (size_t i = 0; i < num_pixels; ++i) {
+    for (size_t c = 0; c < 3; ++c) {
+      pixels[i] += truth.Error(double{out.color[c][i]}, c, i) * truth.Scale(c, i) / 3;
+      row->raw += truth.Error(double{planes.color[c][i]}, c, i) * truth.Scale(c, i) / 3;
+    }
+    promised += double{out.relative_error[i]} / 3;
+    noise += double{out.relative_noise[i]} / 3;
+  }
+  const auto n = static_cast<double>(num_pixels);
+  std::ranges::sort(pixels);
+  const size_t kept = num_pixels - num_pixels / 1000;
+  for (size_t i = 0; i < num_pixels; ++i) {
+    row->rel_mse += pixels[i] / n;
+    if (i < kept) row->trimmed += pixels[i] / static_cast<double>(kept);
+  }
+  row->raw /= n;
+  row->promised = std::max(promised, noise) / n;
+}
+
+void MeasureIntervals(const FilteredPlanes& out, const Truth& truth, Row* row) {
+  const PixelRect& bounds = out.bounds;
+  double num_inside = 0, num_values = 0, width = 0, deviation = 0;
+  for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+    for (int x = bounds.x_begin; x < bounds.x_end; ++x) {
+      const auto i = static_cast<size_t>(bounds.IndexOf(x, y));
+      for (size_t c = 0; c < 3; ++c) {
+        if (!(out.error[c][i] < kInfinity) || out.error[c][i] == 0) continue;
+        const double of_reference =
+            Around(bounds, x, y, kReferenceRadiusPx, [&](size_t k) {
+              const double d = double{truth.first[c][k]} - double{truth.second[c][k]};
+              return d * d / 4;
+            });
+        const double sigma = double{out.error[c][i]} / double{kNormalQuantile975};
+        const double half_width =
+            double{kNormalQuantile975} * std::sqrt(sigma * sigma + of_reference);
+        num_inside += std::abs(double{out.color[c][i]} - truth.Mean(c, i)) <= half_width;
+        num_values += 1;
+        width += double{out.error[c][i]};
+        deviation += std::sqrt(std::max(0.0, Around(bounds, x, y, kTruthRadiusPx, [&](size_t k) {
+          return truth.Error(double{out.color[c][k]}, c, k);
+        })));
+      }
+    }
+  }
+  row->coverage = num_inside / num_values;
+  row->width = width / (double{kNormalQuantile975} * deviation);
+}
+
+// Blocks whose squared error is above the raw mean's by more than chance, tested pixel by pixel
+// (correlated errors make the test more eager to find harm), Holm 1979.
+void MeasureHarm(const FramePlanes& planes, const FilteredPlanes& out, const Truth& truth,
+                 Row* row) {
+  const TileGrid grid(out.bounds, kBlockPx);
+  std::vector<double> levels;
+  for (int64_t block = 0; block < grid.num_tiles(); ++block) {
+    const PixelRect window = grid.WindowOf(block);
+    double sum = 0, square = 0, filtered = 0, raw = 0;
+    for (int y = window.y_begin; y < window.y_end; ++y) {
+      for (int x = window.x_begin; x < window.x_end; ++x) {
+        const auto i = static_cast<size_t>(out.bounds.IndexOf(x, y));
+        double more = 0;
+        for (size_t c = 0; c < 3; ++c) {
+          const double of_filtered = truth.Error(double{out.color[c][i]}, c, i);
+          const double of_raw = truth.Error(double{planes.color[c][i]}, c, i);
+          more += of_filtered - of_raw;
+          filtered += of_filtered;
+          raw += of_raw;
+        }
+        sum += more;
+        square += more * more;
+      }
+    }
+    const auto n = static_cast<double>(window.area());
+    const double mean = sum / n;
+    const double error = std::sqrt(std::max(square / n - mean * mean, 0.0) / n);
+    const double excess = mean - 3 * kHarmSlack;
+    const double z = error > 0 ? excess / error : excess > 0 ? 100 : -100;
+    levels.push_back(0.5 * std::erfc(z / std::sqrt(2.0)));
+    row->worst_block = std::max(row->worst_block,
+                                (filtered / n) / std::max(raw / n, 3 * kHarmSlack));
+  }
+  std::ranges::sort(levels);
+  row->num_blocks = static_cast<int>(levels.size());
+  for (size_t i = 0; i < levels.size(); ++i) {
+    if (levels[i] > kHarmLevel / static_cast<double>(levels.size() - i)) break;
+    ++row->num_harmed;
+  }
+}
+
+absl::Status Measure(const Options& options, const Denoiser& denoiser, const std::string& text) {
+  const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
+  const std::vector<std::string> references = absl::StrSplit(parts.back(), ',');
+  if (parts.size() != 2 || references.size() > 2) {
+    return absl::InvalidArgumentError(text + ": must be INPUT=REFERENCE or INPUT=FIRST,SECOND");
+  }
+  FramePlanes planes;
+  if (std::filesystem::is_directory(parts[0])) {
+    absl::StatusOr<FramePlanes> read = ReadFolder(parts[0]);
+    if (!read.ok()) return read.status();
+    planes = *std::move(read);
+  } else {
+    absl::StatusOr<DenoiseInput> read = ReadDenoiseInput({parts[0]}, {});
+    if (!read.ok()) return read.status();
+    planes = std::move(read->planes);
+  }
+  Truth truth;
+  absl::StatusOr<Planes3> first = ReadColor(references.front(), true);
+  absl::StatusOr<Planes3> second = ReadColor(references.back(), true);
+  if (!first.ok()) return first.status();
+  if (!second.ok()) return second.status();
+  truth = {*std::move(first), *std::move(second), references.size() == 1};
+  if (truth.first[0].size() != planes.samples.size() ||
+      truth.second[0].size() != planes.samples.size()) {
+    return absl::InvalidArgumentError(text + ": the reference has another size");
+  }
+  FilteredPlanes out;
+  double seconds = 1e30;
+  for (int round = 0; round < options.repeat; ++round) {
+    const double begin = UserSeconds();
+    out = DenoiseFrame(denoiser, planes, DenoiseQuality::kFinal, options.threads);
+    seconds = std::min(seconds, UserSeconds() - begin);
+  }
+  Row row;
+  MeasureErrors(planes, out, truth, &row);
+  MeasureIntervals(out, truth, &row);
+  MeasureHarm(planes, out, truth, &row);
+  std::printf("%-18s %9.1f %8.2f %8.2f  %5.2f  %5.1f %5.2f  %3d/%-4d %5.2f  %6.2f\n",
+              std::filesystem::path(parts[0]).stem().c_str(), 1e5 * row.raw, 1e5 * row.rel_mse,
+              1e5 * row.trimmed, std::sqrt(std::max(row.rel_mse, 0.0) / row.promised),
+              100 * row.coverage, row.width, row.num_harmed, row.num_blocks, row.worst_block,
+              1e6 * seconds / static_cast<double>(planes.samples.size()));
+  std::fflush(stdout);
+  return absl::OkStatus();
+}
+
+}  // namespace
+}  // namespace tessera
+
+int main(int argc, char** argv) {
+  tessera::Options options;
+  CLI::App app("Error, honesty, harm and cost of a filter where the truth is known");
+  app.add_option("inputs", options.inputs, "INPUT=REFERENCE[,REFERENCE]")->required();
+  app.add_option("--denoiser", options.denoiser);
+  app.add_option("--threads", options.threads);
+  app.add_option("--repeat", options.repeat, "The fastest counts");
+  CLI11_PARSE(app, argc, argv);
+  const auto denoiser = tessera::MakeDenoiser(
+      options.denoiser.empty() ? tessera::DenoiserNames().front() : options.denoiser);
+  if (!denoiser.ok()) {
+    std::fprintf(stderr, "%s\n", denoiser.status().ToString().c_str());
+    return 2;
+  }
+  std::printf("%-18s %9s %8s %8s  %5s  %5s %5s  %8s %5s  %6s\n", "relMSE x 1e5", "raw", "filter",
+              "trimmed", "t/p", "cover", "width", "harmed", "worst", "us/px");
+  for (const std::string& input : options.inputs) {
+    const absl::Status status = tessera::Measure(options, **denoiser, input);
+    if (!status.ok()) {
+      std::fprintf(stderr, "%s\n", status.ToString().c_str());
+      return 2;
+    }
+  }
+}
