@@ -95,7 +95,8 @@ absl::StatusOr<FramePlanes> ReadFolder(const std::string& folder) {
                             {"depth", &depth},
                             {"depthVariance", &depth_variance}};
   for (const Target& target : targets) {
-    absl::StatusOr<Planes3> color = ReadColor(absl::StrCat(folder, "/", target.name, ".exr"), false);
+    const std::string path = absl::StrCat(folder, "/", target.name, ".exr");
+    absl::StatusOr<Planes3> color = ReadColor(path, false);
     if (!color.ok()) return color.status();
     *target.to = *std::move(color);
   }

@@ -5,6 +5,9 @@
 
 namespace tessera {
 
+// Where it reaches 0.
+inline constexpr float kFalloffEnd = 8.0f;
+
 // exp(-max(x, 0)) for all but its tail, by a polynomial that reaches 0 at x = 8: exp would take
 // bits from a library, and weights below e^-8 change nothing.
 inline float Falloff(float x) {

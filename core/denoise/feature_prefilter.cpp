@@ -9,7 +9,7 @@
 namespace tessera {
 namespace {
 
-constexpr int kWindowRadiusPx = 3;
+constexpr int kWindowRadiusPx = 2;
 constexpr int kPatchRadiusPx = 1;
 static_assert(kWindowRadiusPx + kPatchRadiusPx == kPrefilterRadiusPx);
 
@@ -55,82 +55,101 @@ void AddWeighted(int num_pixels, const float* weight, const float* value, const 
   }
 }
 
-// Filters one group's row y; `out` has zero there.
-class RowFilter {
+// Filters one group of planes, row by row; `out` is zero before. Each offset keeps the distances of
+// three rows, so that a row's are found once.
+class GroupFilter {
  public:
-  RowFilter(const RegressionInput& input, const Group& group, SmoothFeatures* out)
+  GroupFilter(const RawFeatures& input, const Group& group, SmoothFeatures* out)
       : in_(input),
         group_(group),
         out_(*out),
         width_(out->bounds.width()),
         stride_(static_cast<size_t>(width_ + 2 * kPatchRadiusPx)),
         scale_(1.0f / static_cast<float>(9 * (group.end - group.begin))),
-        distance_(3 * stride_),
-        weight_(static_cast<size_t>(width_)) {}
+        distance_(kNumOffsets * kNumRows * stride_),
+        weight_(static_cast<size_t>(width_)),
+        weight_sum_(static_cast<size_t>(width_)) {}
 
-  void Filter(int y) {
-    std::vector<float> weight_sum(static_cast<size_t>(width_));
-    for (int dy = -kWindowRadiusPx; dy <= kWindowRadiusPx; ++dy) {
-      for (int dx = -kWindowRadiusPx; dx <= kWindowRadiusPx; ++dx) {
-        AddNeighbours(y, int64_t{dy} * in_.bounds.width() + dx, weight_sum.data());
+  void Filter() {
+    const PixelRect& bounds = out_.bounds;
+    for (int y = bounds.y_begin - kPatchRadiusPx; y < bounds.y_end + kPatchRadiusPx; ++y) {
+      const int done = y - kPatchRadiusPx;  // the row whose patches are complete
+      const bool is_complete = done >= bounds.y_begin;
+      std::ranges::fill(weight_sum_, 0.0f);
+      size_t offset = 0;
+      for (int dy = -kWindowRadiusPx; dy <= kWindowRadiusPx; ++dy) {
+        for (int dx = -kWindowRadiusPx; dx <= kWindowRadiusPx; ++dx, ++offset) {
+          const int64_t shift = int64_t{dy} * in_.bounds.width() + dx;
+          SetDistances(y, shift, offset);
+          if (is_complete) AddNeighbours(done, shift, offset);
+        }
       }
+      if (is_complete) Finish(done);
     }
-    Finish(y, weight_sum);
   }
 
  private:
-  int64_t InputIndex(int x, int y) const { return in_.bounds.IndexOf(x, y); }
+  static constexpr size_t kNumRows = 2 * kPatchRadiusPx + 1;
+  static constexpr size_t kNumOffsets =
+      (2 * kWindowRadiusPx + 1) * static_cast<size_t>(2 * kWindowRadiusPx + 1);
 
-  void AddNeighbours(int y, int64_t shift, float* weight_sum) {
-    std::ranges::fill(distance_, 0.0f);
-    for (int row = 0; row < 3; ++row) {
-      const int64_t p = InputIndex(out_.bounds.x_begin - 1, y + row - 1);
-      for (size_t k = group_.begin; k < group_.end; ++k) {
-        AddDistance(width_ + 2, shift, &in_.known[static_cast<size_t>(p)],
-                    &in_.feature_variance[k][static_cast<size_t>(p)],
-                    &in_.feature[k][static_cast<size_t>(p)],
-                    &distance_[static_cast<size_t>(row) * stride_]);
-      }
+  int64_t InputIndex(int x, int y) const { return in_.bounds.IndexOf(x, y); }
+  // The distances of row y, from a pixel left of the output on.
+  float* Row(size_t offset, int y) {
+    const auto row = static_cast<size_t>(y - out_.bounds.y_begin + kPatchRadiusPx) % kNumRows;
+    return &distance_[(offset * kNumRows + row) * stride_];
+  }
+
+  void SetDistances(int y, int64_t shift, size_t offset) {
+    float* const row = Row(offset, y);
+    std::fill_n(row, stride_, 0.0f);
+    const auto p = static_cast<size_t>(InputIndex(out_.bounds.x_begin - kPatchRadiusPx, y));
+    for (size_t k = group_.begin; k < group_.end; ++k) {
+      AddDistance(static_cast<int>(stride_), shift, &in_.known[p], &in_.variance[k][p],
+                  &in_.value[k][p], row);
     }
+  }
+
+  void AddNeighbours(int y, int64_t shift, size_t offset) {
     const auto q = static_cast<size_t>(InputIndex(out_.bounds.x_begin, y) + shift);
     const auto to = static_cast<size_t>(out_.bounds.IndexOf(out_.bounds.x_begin, y));
-    SetWeights(width_, scale_, distance_.data(), &distance_[stride_], &distance_[2 * stride_],
-               &in_.known[q], weight_.data(), weight_sum);
+    SetWeights(width_, scale_, Row(offset, y - 1), Row(offset, y), Row(offset, y + 1),
+               &in_.known[q], weight_.data(), weight_sum_.data());
     for (size_t k = group_.begin; k < group_.end; ++k) {
-      AddWeighted(width_, weight_.data(), &in_.feature[k][q], &in_.feature_variance[k][q],
+      AddWeighted(width_, weight_.data(), &in_.value[k][q], &in_.variance[k][q],
                   &out_.value[k][to], &out_.variance[k][to]);
     }
   }
 
-  void Finish(int y, const std::vector<float>& weight_sum) {
+  void Finish(int y) {
     const auto p = static_cast<size_t>(InputIndex(out_.bounds.x_begin, y));
     const auto to = static_cast<size_t>(out_.bounds.IndexOf(out_.bounds.x_begin, y));
-    for (size_t x = 0; x < weight_sum.size(); ++x) {
-      const float w = weight_sum[x];
+    for (size_t x = 0; x < weight_sum_.size(); ++x) {
+      const float w = weight_sum_[x];
       const bool is_filtered = in_.known[p + x] > 0 && w > 0;
       for (size_t k = group_.begin; k < group_.end; ++k) {
         float& value = out_.value[k][to + x];
         float& variance = out_.variance[k][to + x];
-        value = is_filtered ? value / w : in_.feature[k][p + x];
-        variance = is_filtered ? variance / (w * w) : in_.feature_variance[k][p + x];
+        value = is_filtered ? value / w : in_.value[k][p + x];
+        variance = is_filtered ? variance / (w * w) : in_.variance[k][p + x];
       }
     }
   }
 
-  const RegressionInput& in_;
+  const RawFeatures& in_;
   const Group group_;
   SmoothFeatures& out_;
   const int width_;
   const size_t stride_;
   const float scale_;            // averages the distances of a patch
-  std::vector<float> distance_;  // of three rows, a pixel beyond their ends
-  std::vector<float> weight_;
+  std::vector<float> distance_;  // by offset and row, a pixel beyond their ends
+  std::vector<float> weight_, weight_sum_;  // of a row
 };
 
 }  // namespace
 
-SmoothFeatures PrefilterFeatures(const RegressionInput& input, const PixelRect& bounds) {
-  TESSERA_CHECK(input.bounds.Contains(bounds.Expand(kPrefilterRadiusPx)));
+SmoothFeatures PrefilterFeatures(const RawFeatures& raw, const PixelRect& bounds) {
+  TESSERA_CHECK(raw.bounds.Contains(bounds.Expand(kPrefilterRadiusPx)));
   SmoothFeatures out;
   out.bounds = bounds;
   for (size_t k = 0; k < kNumFeatures; ++k) {
@@ -138,8 +157,7 @@ SmoothFeatures PrefilterFeatures(const RegressionInput& input, const PixelRect& 
     out.variance[k].resize(SlackArea(bounds));
   }
   for (const Group& group : kGroups) {
-    RowFilter filter(input, group, &out);
-    for (int y = bounds.y_begin; y < bounds.y_end; ++y) filter.Filter(y);
+    GroupFilter(raw, group, &out).Filter();
   }
   return out;
 }

@@ -9,8 +9,8 @@
 
 namespace tessera {
 
-// How far from a pixel features are read: a window of radius 3 of patches of radius 1.
-inline constexpr int kPrefilterRadiusPx = 4;
+// How far from a pixel features are read: a window of radius 2 of patches of radius 1.
+inline constexpr int kPrefilterRadiusPx = 3;
 
 struct SmoothFeatures {
   PixelRect bounds;                           // as RegressionInput
@@ -18,8 +18,8 @@ struct SmoothFeatures {
   std::array<Plane, kNumFeatures> variance;  // what the averaging leaves of the noise
 };
 
-// Filters over `bounds`; input.bounds must reach kPrefilterRadiusPx further. Albedo, normal and
+// Filters over `bounds`; raw.bounds must reach kPrefilterRadiusPx further. Albedo, normal and
 // depth each have their own weights. Pixels that are not known keep their values.
-SmoothFeatures PrefilterFeatures(const RegressionInput& input, const PixelRect& bounds);
+SmoothFeatures PrefilterFeatures(const RawFeatures& raw, const PixelRect& bounds);
 
 }  // namespace tessera

@@ -21,6 +21,13 @@ inline void Store8(float* to, Float8 value) { std::memcpy(to, &value, sizeof val
 inline Float8 Max8(Float8 a, Float8 b) { return a > b ? a : b; }
 inline Float8 Min8(Float8 a, Float8 b) { return a < b ? a : b; }
 
+// Whether any lane is below `limit`; false for NaN.
+inline bool AnyLess8(Float8 a, float limit) {
+  using Bits = long long __attribute__((vector_size(sizeof(Float8))));
+  const auto less = reinterpret_cast<Bits>(a < limit);
+  return (less[0] | less[1] | less[2] | less[3]) != 0;
+}
+
 inline float Sum8(Float8 a) {
   return ((a[0] + a[4]) + (a[2] + a[6])) + ((a[1] + a[5]) + (a[3] + a[7]));
 }

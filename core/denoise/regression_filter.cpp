@@ -16,30 +16,25 @@ namespace tessera {
 namespace {
 
 constexpr int kWindowRadiusPx = 9;
-constexpr int kLatticeStepPx = 4;
+constexpr int kLatticeStepPx = 5;
 // The pilot's variance is averaged over (2 r + 1)^2 pixels.
 constexpr int kPilotVarianceRadiusPx = 2;
 constexpr int kCrossPatchRadiusPx = 1;
 
-// How a second pass compares pixels of the pilot: by patches of this radius, in units of the
-// pilot's variance plus this share of the raw mean's, which stands for the pilot's bias.
-struct PilotPassSettings {
-  int patch_radius_px;
-  float raw_share;
-};
-constexpr PilotPassSettings kPilotPasses[] = {{1, 0.2f}, {0, 0.05f}};
+// The second pass compares patches of the pilot, in units of its variance plus this share of the
+// raw mean's, which stands for the pilot's bias.
+constexpr float kRawShare = 0.2f;
 constexpr int kPilotPatchRadiusPx = 1;
 
 // Reach of the stages, from the result back to what is read.
-constexpr int kPassReachPx = 2 * kWindowRadiusPx + kOnDemandReachPx;
+constexpr int kPassReachPx = PassReachPx(kWindowRadiusPx);
 constexpr int kPilotReachPx = kRiskRadiusPx + kPassReachPx + kPilotPatchRadiusPx;
 constexpr int kCrossReachPx = kPilotReachPx + kPilotVarianceRadiusPx;
 constexpr int kFeatureReachPx = kCrossReachPx + kPassReachPx;
 constexpr int kInputReachPx = kFeatureReachPx + std::max(kPrefilterRadiusPx, kCrossPatchRadiusPx);
 
 // The pilot over `bounds`, from the first pass `kPilotVarianceRadiusPx` further.
-Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const PixelRect& bounds,
-                float raw_share) {
+Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const PixelRect& bounds) {
   Pilot pilot;
   pilot.bounds = bounds;
   const PixelRect& read = first.bounds;
@@ -61,7 +56,7 @@ Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const Pix
         const float a = first.color[0][c][i];
         const float b = first.color[1][c][i];
         variance[c][i] =
-            share_a * share_b * ((a - b) * (a - b)) + raw_share * input.variance[c][p];
+            share_a * share_b * ((a - b) * (a - b)) + kRawShare * input.variance[c][p];
         if (bounds.Contains(x, y)) {
           pilot.color[c][static_cast<size_t>(bounds.IndexOf(x, y))] = share_a * a + share_b * b;
         }
@@ -86,11 +81,9 @@ std::vector<PassOutput> RunPasses(const RegressionInput& input, const SmoothFeat
   const PixelRect cross_bounds = pilot_bounds.Expand(kPilotVarianceRadiusPx);
   candidates.push_back(
       RunCrossPass(input, features, {frame, cross_bounds, kWindowRadiusPx, kLatticeStepPx}));
-  for (const PilotPassSettings& pass : kPilotPasses) {
-    const Pilot pilot = MakePilot(input, candidates.front(), pilot_bounds, pass.raw_share);
-    candidates.push_back(RunPilotPass(input, features, pilot, pass.patch_radius_px,
-                                      {frame, bounds, kWindowRadiusPx, kLatticeStepPx}));
-  }
+  const Pilot pilot = MakePilot(input, candidates.front(), pilot_bounds);
+  candidates.push_back(RunPilotPass(input, features, pilot, kPilotPatchRadiusPx,
+                                    {frame, bounds, kWindowRadiusPx, kLatticeStepPx}));
   return candidates;
 }
 
@@ -133,12 +126,10 @@ void CompareSquares(const RegressionInput& input, Filtered* filtered) {
 }
 
 // The estimate of the error has no bias but what features share with the noise.
-Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
-                        const PixelRect& pooled) {
+Filtered FilterAndJudge(const RegressionInput& input, const SmoothFeatures& features,
+                        const PixelRect& frame, const PixelRect& pooled) {
   const PixelRect bounds = pooled.Expand(kRiskRadiusPx);
   const PixelRect inside = pooled.Intersect(frame);
-  const SmoothFeatures features =
-      PrefilterFeatures(input, bounds.Expand(kFeatureReachPx - kRiskRadiusPx));
   const auto run = [&](const RegressionInput& data) {
     return BlendByRisk(data, frame, RunPasses(data, features, frame, bounds), inside);
   };
@@ -222,8 +213,11 @@ void RegressionFilter::Filter(const FramePlanes& planes, const FrameParameters& 
     return BilateralFilter().Filter(planes, parameters, window, out);
   }
   const PixelRect pooled = window.Expand(kRiskRadiusPx);
+  const SmoothFeatures features =
+      PrefilterFeatures({pooled.Expand(kInputReachPx), parameters.frame, planes},
+                        pooled.Expand(kFeatureReachPx));
   const RegressionInput input(pooled.Expand(kInputReachPx), parameters.frame, planes);
-  const Filtered filtered = FilterAndJudge(input, parameters.frame, pooled);
+  const Filtered filtered = FilterAndJudge(input, features, parameters.frame, pooled);
   const PooledErrors errors(filtered, window);
   size_t w = 0;
   for (int y = window.y_begin; y < window.y_end; ++y) {

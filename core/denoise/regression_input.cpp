@@ -46,54 +46,74 @@ Plane VarianceRatio(const PixelRect& bounds, const PixelRect& frame, const Frame
   return ratio;
 }
 
-}  // namespace
-
-RegressionInput::RegressionInput(const PixelRect& rect, const PixelRect& frame,
-                                 const FramePlanes& planes)
-    : bounds(rect) {
-  const size_t area = SlackArea(bounds);
-  for (Planes3* three : {&color[0], &color[1], &variance}) {
-    for (Plane& plane : *three) plane.resize(area);
-  }
-  for (int k = 0; k < kNumFeatures; ++k) {
-    feature[static_cast<size_t>(k)].resize(area);
-    feature_variance[static_cast<size_t>(k)].resize(area);
-  }
-  known.resize(area);
-  share_a.resize(area);
+// Calls set(from, inside, to) for each pixel of `bounds`: the nearest pixel inside the frame, in
+// planes.bounds and in what of `bounds` is inside. Returns which lie in the frame and have two
+// samples.
+template <typename Set>
+Plane ForEachPixel(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes,
+                   const Set& set) {
   const PixelRect inside = bounds.Intersect(frame);
-  const Plane ratio = VarianceRatio(bounds, frame, planes);
+  Plane known(SlackArea(bounds));
   size_t to = 0;
   for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
     const int from_y = std::clamp(y, inside.y_begin, inside.y_end - 1);
     for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++to) {
       const int from_x = std::clamp(x, inside.x_begin, inside.x_end - 1);
-      const auto p = static_cast<size_t>(planes.bounds.IndexOf(from_x, from_y));
-      const float scale = ratio[static_cast<size_t>(inside.IndexOf(from_x, from_y))];
-      const uint32_t count = planes.samples[p];
-      known[to] = count >= 2 && frame.Contains(x, y) ? 1.0f : 0.0f;
-      share_a[to] =
-          count >= 2 ? static_cast<float>(count - count / 2) / static_cast<float>(count) : 1.0f;
-      for (size_t c = 0; c < 3; ++c) {
-        const float mean = Cut(planes.color[c][p], kValueMax);
-        color[0][c][to] = Cut(planes.color_half[0][c][p], kValueMax);
-        color[1][c][to] = Cut(planes.color_half[1][c][p], kValueMax);
-        variance[c][to] =
-            Cut(Cut(planes.sample_variance_of_mean[c][p], kVarianceMax) * scale, kVarianceMax) +
-            kRoundingVariance * mean * mean + kTiny;
-        SetFeature(planes.albedo[c][p], planes.albedo_variance[c][p], c, to);
-        SetFeature(planes.normal[c][p], planes.normal_variance[c][p], 3 + c, to);
-      }
-      SetFeature(planes.depth[p], planes.depth_variance[p], 6, to);
+      const auto from = static_cast<size_t>(planes.bounds.IndexOf(from_x, from_y));
+      known[to] = planes.samples[from] >= 2 && frame.Contains(x, y) ? 1.0f : 0.0f;
+      set(from, static_cast<size_t>(inside.IndexOf(from_x, from_y)), to);
     }
   }
+  return known;
 }
 
-void RegressionInput::SetFeature(float mean, float variance_of_mean, size_t k, size_t to) {
-  const float value = Cut(mean, kValueMax);
-  feature[k][to] = value;
-  feature_variance[k][to] =
-      Cut(variance_of_mean, kVarianceMax) + kRoundingVariance * value * value + kTiny;
+}  // namespace
+
+RegressionInput::RegressionInput(const PixelRect& rect, const PixelRect& frame,
+                                 const FramePlanes& planes)
+    : bounds(rect), share_a(SlackArea(rect)) {
+  for (Planes3* three : {&color[0], &color[1], &variance}) {
+    for (Plane& plane : *three) plane.resize(SlackArea(bounds));
+  }
+  const Plane ratio = VarianceRatio(bounds, frame, planes);
+  known = ForEachPixel(bounds, frame, planes, [&](size_t p, size_t inside, size_t to) {
+    const uint32_t count = planes.samples[p];
+    share_a[to] =
+        count >= 2 ? static_cast<float>(count - count / 2) / static_cast<float>(count) : 1.0f;
+    for (size_t c = 0; c < 3; ++c) {
+      const float mean = Cut(planes.color[c][p], kValueMax);
+      color[0][c][to] = Cut(planes.color_half[0][c][p], kValueMax);
+      color[1][c][to] = Cut(planes.color_half[1][c][p], kValueMax);
+      const float spread = Cut(planes.sample_variance_of_mean[c][p], kVarianceMax);
+      variance[c][to] =
+          Cut(spread * ratio[inside], kVarianceMax) + kRoundingVariance * mean * mean + kTiny;
+    }
+  });
+}
+
+RawFeatures::RawFeatures(const PixelRect& rect, const PixelRect& frame, const FramePlanes& planes)
+    : bounds(rect) {
+  std::array<const Plane*, kNumFeatures> means, variances;
+  for (size_t c = 0; c < 3; ++c) {
+    means[c] = &planes.albedo[c];
+    variances[c] = &planes.albedo_variance[c];
+    means[3 + c] = &planes.normal[c];
+    variances[3 + c] = &planes.normal_variance[c];
+  }
+  means[6] = &planes.depth;
+  variances[6] = &planes.depth_variance;
+  for (size_t k = 0; k < kNumFeatures; ++k) {
+    value[k].resize(SlackArea(bounds));
+    variance[k].resize(SlackArea(bounds));
+  }
+  known = ForEachPixel(bounds, frame, planes, [&](size_t p, size_t /*inside*/, size_t to) {
+    for (size_t k = 0; k < kNumFeatures; ++k) {
+      const float mean = Cut((*means[k])[p], kValueMax);
+      value[k][to] = mean;
+      variance[k][to] =
+          Cut((*variances[k])[p], kVarianceMax) + kRoundingVariance * mean * mean + kTiny;
+    }
+  });
 }
 
 }  // namespace tessera

@@ -32,13 +32,18 @@ struct RegressionInput {
   // Of the mean of both halves: the samples' own variance, times what the difference of the halves
   // says of it in the neighbourhood (low-discrepancy samples do better than their variance).
   Planes3 variance;
-  std::array<Plane, kNumFeatures> feature;           // means of both halves
-  std::array<Plane, kNumFeatures> feature_variance;  // of those means, > 0
   Plane known;    // 1: inside the frame, both halves have samples; else 0
   Plane share_a;  // half A's share of the samples
+};
 
- private:
-  void SetFeature(float mean, float variance_of_mean, size_t k, size_t to);
+// The features as the samples give them; as RegressionInput.
+struct RawFeatures {
+  RawFeatures(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes);
+
+  PixelRect bounds;
+  std::array<Plane, kNumFeatures> value;     // means of both halves
+  std::array<Plane, kNumFeatures> variance;  // of those means, > 0
+  Plane known;
 };
 
 // The variance of a pixel reads the halves this far around it.

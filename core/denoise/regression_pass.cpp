@@ -73,29 +73,34 @@ void VisitCentres(const RegressionInput& input, const PassSettings& settings,
     return input.known[static_cast<size_t>(input.bounds.IndexOf(x, y))] > 0;
   };
   const int step = settings.lattice_step_px;
-  const PixelRect wanted = settings.bounds.Expand(kOnDemandReachPx).Intersect(settings.frame);
-  const PixelRect centres = wanted.Expand(settings.window_radius_px).Intersect(settings.frame);
+  const int radius = settings.window_radius_px;
+  int reach = static_cast<int>(kOnDemandStepsPx.size()) * kOnDemandReachPx;
+  const PixelRect centres = settings.bounds.Expand(reach + radius).Intersect(settings.frame);
   for (int y = centres.y_begin; y < centres.y_end; ++y) {
     if (Modulo(y, step) != step / 2) continue;
     for (int x = centres.x_begin; x < centres.x_end; ++x) {
-      if (Modulo(x, step) == step / 2 && is_known(x, y)) fit(x, y, settings.window_radius_px);
+      if (Modulo(x, step) == step / 2 && is_known(x, y)) fit(x, y, radius);
     }
   }
   std::vector<std::pair<int, int>> thin;
-  for (int y = wanted.y_begin; y < wanted.y_end; ++y) {
-    for (int x = wanted.x_begin; x < wanted.x_end; ++x) {
-      if (is_known(x, y) && sums.IsThin(x, y)) thin.emplace_back(x, y);
+  for (const int thin_step : kOnDemandStepsPx) {
+    const PixelRect wanted = settings.bounds.Expand(reach).Intersect(settings.frame);
+    thin.clear();
+    for (int y = wanted.y_begin; y < wanted.y_end; ++y) {
+      if (Modulo(y, thin_step) != 0) continue;
+      for (int x = wanted.x_begin; x < wanted.x_end; ++x) {
+        if (Modulo(x, thin_step) == 0 && is_known(x, y) && sums.IsThin(x, y)) {
+          thin.emplace_back(x, y);
+        }
+      }
     }
+    for (const auto& [x, y] : thin) fit(x, y, kOnDemandReachPx);
+    reach -= kOnDemandReachPx;
   }
-  for (const auto& [x, y] : thin) fit(x, y, kOnDemandReachPx);
 }
 
-// Shrinks target t's coefficient k, all channels alike, by the part of its energy that is noise:
-// James & Stein's positive part.
-void Shrink(size_t k, float energy, float noise, std::span<Coefficients> coefficients) {
-  const float factor = energy > noise ? 1.0f - noise / energy : 0.0f;
-  for (Coefficients& target : coefficients) target[k] *= factor;
-}
+// The part of an energy that is not noise: James & Stein's positive part.
+float Kept(float energy, float noise) { return energy > noise ? 1.0f - noise / energy : 0.0f; }
 
 }  // namespace
 
@@ -112,30 +117,25 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
       variance_sum[i] += variance[c][i];
     }
   }
-  const WindowShape shape(settings.window_radius_px);
   // Half A's weights come from half B.
-  const Guide guide{input.bounds, &input.known, {&input.color[1], &input.color[0]}, &variance};
-  std::array<std::vector<float>, kNumHalves> weights;
-  WindowFit fit(shape);
+  const Guide guide{input.bounds, &input.known, {&input.color[1], &input.color[0]}, 2, &variance};
+  WindowWeights weights(settings.window_radius_px);
+  WindowFit fit;
   Accumulator sums(reached, kNumHalves);
   VisitCentres(input, settings, sums, [&](int x, int y, int reach_px) {
-    SetWindowWeights(guide, shape, 1, x, y, weights);
-    fit.SetCentre(features, x, y);
+    weights.Set(guide, 1, x, y);
+    fit.SetCentre(weights, features);
     for (size_t half = 0; half < kNumHalves; ++half) {
       const Planes3& color = input.color[half];
-      const Plane* targets[] = {color.data(), &color[1], &color[2]};
-      const float* weight = weights[half].data();
-      fit.Fit(input.bounds, targets, weight);
-      const float noise =
-          fit.SquareWeightedSum(input.bounds, variance_sum, weight) / fit.weight_sum();
-      const std::span<Coefficients> channels(fit.coefficients.data(), 3);
-      for (size_t k = 1; k < kNumUnknowns; ++k) {
-        float energy = 0;
-        for (const Coefficients& z : channels) energy += z[k] * z[k];
-        Shrink(k, energy, noise, channels);
+      const Plane* const targets[] = {color.data(), &color[1], &color[2]};
+      fit.Fit(static_cast<int>(half), input.bounds, targets);
+      const float noise = fit.SquareWeightedSum(input.bounds, variance_sum) / fit.weight_sum();
+      for (size_t k = 1; k < static_cast<size_t>(fit.num_unknowns()); ++k) {
+        Float8& z = fit.coefficients[k];
+        z *= Kept(z[0] * z[0] + z[1] * z[1] + z[2] * z[2], noise);
       }
       Plane* const into[] = {sums.sum(half, 0), sums.sum(half, 1), sums.sum(half, 2)};
-      fit.AddPrediction(sums.bounds(), weight, reach_px, into, sums.weight_sum(half));
+      fit.AddPrediction(sums.bounds(), reach_px, into, sums.weight_sum(half));
     }
   });
   return sums.Finish(input, settings.bounds);
@@ -152,34 +152,32 @@ PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& feat
     const auto to = static_cast<size_t>(pilot.bounds.IndexOf(pilot.bounds.x_begin, y));
     std::copy_n(input.known.data() + from, pilot.bounds.width(), known.data() + to);
   }
-  const WindowShape shape(settings.window_radius_px);
-  const Guide guide{pilot.bounds, &known, {&pilot.color}, &pilot.variance};
-  std::array<std::vector<float>, 1> weights;
-  WindowFit fit(shape);
+  const Guide guide{pilot.bounds, &known, {&pilot.color}, 1, &pilot.variance};
+  WindowWeights weights(settings.window_radius_px);
+  WindowFit fit;
   Accumulator sums(reached, 1);
   const std::array<Planes3, kNumHalves>& color = input.color;
-  const Plane* targets[] = {color[0].data(), &color[0][1], &color[0][2],
+  const Plane* const targets[] = {color[0].data(), &color[0][1], &color[0][2],
                             color[1].data(), &color[1][1], &color[1][2]};
   Plane* const into[] = {sums.sum(0, 0), sums.sum(0, 1), sums.sum(0, 2),
                          sums.sum(1, 0), sums.sum(1, 1), sums.sum(1, 2)};
   VisitCentres(input, settings, sums, [&](int x, int y, int reach_px) {
-    SetWindowWeights(guide, shape, patch_radius_px, x, y, weights);
-    fit.SetCentre(features, x, y);
-    fit.Fit(input.bounds, targets, weights[0].data());
+    weights.Set(guide, patch_radius_px, x, y);
+    fit.SetCentre(weights, features);
+    fit.Fit(0, input.bounds, targets);
     const float share_a = input.share_a[static_cast<size_t>(input.bounds.IndexOf(x, y))];
     const float share_b = 1.0f - share_a;
-    for (size_t k = 1; k < kNumUnknowns; ++k) {
+    for (size_t k = 1; k < static_cast<size_t>(fit.num_unknowns()); ++k) {
+      Float8& z = fit.coefficients[k];
       float energy = 0, noise = 0;
-      for (size_t c = 0; c < 3; ++c) {
-        const float a = fit.coefficients[c][k];
-        const float b = fit.coefficients[3 + c][k];
-        const float mean = share_a * a + share_b * b;
+      for (int c = 0; c < 3; ++c) {
+        const float mean = share_a * z[c] + share_b * z[3 + c];
         energy += mean * mean;
-        noise += share_a * share_b * ((a - b) * (a - b));
+        noise += share_a * share_b * ((z[c] - z[3 + c]) * (z[c] - z[3 + c]));
       }
-      Shrink(k, energy, noise, fit.coefficients);
+      z *= Kept(energy, noise);
     }
-    fit.AddPrediction(sums.bounds(), weights[0].data(), reach_px, into, sums.weight_sum(0));
+    fit.AddPrediction(sums.bounds(), reach_px, into, sums.weight_sum(0));
   });
   return sums.Finish(input, settings.bounds);
 }

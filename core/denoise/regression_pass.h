@@ -9,9 +9,11 @@
 
 namespace tessera {
 
-// Every pixel whose weights from the lattice's centres add up to less than one pixel's own weight
-// becomes a centre itself, and predicts the pixels this far around it.
+// Pixels whose weights from the lattice's centres add up to less than one pixel's own weight become
+// centres themselves and predict the pixels this far around them: first those of every second row
+// and column, then what these have left.
 inline constexpr int kOnDemandReachPx = 3;
+inline constexpr std::array<int, 2> kOnDemandStepsPx = {2, 1};
 
 // Each half filtered by itself, row-major over `bounds`, SlackArea long.
 struct PassOutput {
@@ -28,7 +30,7 @@ struct PassSettings {
 
 // Pixels around the output that a pass reads, but for the patches of its weights.
 inline constexpr int PassReachPx(int window_radius_px) {
-  return 2 * window_radius_px + kOnDemandReachPx;
+  return 2 * window_radius_px + static_cast<int>(kOnDemandStepsPx.size()) * kOnDemandReachPx;
 }
 
 // The first pass. Half A is fitted with weights from half B and the other way round, so that no

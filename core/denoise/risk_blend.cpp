@@ -7,6 +7,7 @@
 
 #include "core/base/check.h"
 #include "core/denoise/box_sum.h"
+#include "core/denoise/float8.h"
 
 namespace tessera {
 namespace {
@@ -22,7 +23,7 @@ size_t At(const PixelRect& bounds, int x, int y) {
 struct Terms {
   Terms(const PixelRect& rect, size_t num_candidates)
       : bounds(rect),
-        difference(static_cast<size_t>(rect.area())),
+        difference(SlackArea(rect)),
         judges(difference.size()),
         variance(difference.size()) {
     products.resize(num_candidates * (num_candidates + 1) / 2, Plane(difference.size()));
@@ -34,49 +35,64 @@ struct Terms {
   Plane variance;
 };
 
-// M_jk of one pixel, summed over channels relative to the picture's brightness. E of (B - F_A)^2 is
-// the squared error of F_A plus the variance of B; (F_A - F_B)^2 takes out what averaging F_A and
-// F_B gains. The variances that it leaves, the same for all j and k, are taken out by the caller.
-void SetTerms(const RegressionInput& input, std::span<const PassOutput> candidates, int x, int y,
+// M_jk of the pixels of row y, summed over channels relative to the picture's brightness. E of
+// (B - F_A)^2 is the squared error of F_A plus the variance of B; (F_A - F_B)^2 takes out what
+// averaging F_A and F_B gains. The variances that it leaves, the same for all j and k, are taken
+// out by the caller. Vectors reach past the row's end, where the next row overwrites what they
+// leave.
+template <size_t kNumCandidates>
+void SetTerms(const RegressionInput& input, std::span<const PassOutput> candidates, int y,
               Terms* terms) {
-  const size_t p = At(input.bounds, x, y);
-  const size_t to = At(terms->bounds, x, y);
-  if (input.known[p] == 0) return;
-  const float share_a = input.share_a[p];
-  const float share_b = 1.0f - share_a;
-  const size_t n = candidates.size();
-  std::array<size_t, kNumCandidatesMax> at;
-  float square = 0;
-  for (size_t j = 0; j < n; ++j) at[j] = At(candidates[j].bounds, x, y);
-  for (size_t c = 0; c < 3; ++c) {
-    const float mean = share_a * candidates[0].color[0][c][at[0]] +
-                       share_b * candidates[0].color[1][c][at[0]];
-    square += mean * mean;
-  }
-  const float scale = 1.0f / (square / 3.0f + kRelMseEpsilon);
-  for (size_t c = 0; c < 3; ++c) {
-    const float a = input.color[0][c][p];
-    const float b = input.color[1][c][p];
-    std::array<float, kNumCandidatesMax> residual_a, residual_b, difference;
-    for (size_t j = 0; j < n; ++j) {
-      const float filtered_a = candidates[j].color[0][c][at[j]];
-      const float filtered_b = candidates[j].color[1][c][at[j]];
-      residual_a[j] = b - filtered_a;
-      residual_b[j] = a - filtered_b;
-      difference[j] = filtered_a - filtered_b;
+  constexpr size_t kNumProducts = kNumCandidates * (kNumCandidates + 1) / 2;
+  const int x_begin = terms->bounds.x_begin;
+  size_t p = At(input.bounds, x_begin, y);
+  size_t to = At(terms->bounds, x_begin, y);
+  std::array<size_t, kNumCandidates> at;
+  for (size_t j = 0; j < kNumCandidates; ++j) at[j] = At(candidates[j].bounds, x_begin, y);
+  for (int x = x_begin; x < terms->bounds.x_end; x += kFloat8Lanes) {
+    const Float8 share_a = Load8(&input.share_a[p]);
+    const Float8 share_b = 1.0f - share_a;
+    Float8 square = {};
+    for (size_t c = 0; c < 3; ++c) {
+      const Float8 mean = share_a * Load8(&candidates[0].color[0][c][at[0]]) +
+                          share_b * Load8(&candidates[0].color[1][c][at[0]]);
+      square += mean * mean;
     }
-    size_t i = 0;
-    for (size_t j = 0; j < n; ++j) {
-      for (size_t k = 0; k <= j; ++k, ++i) {
-        terms->products[i][to] += scale * (share_a * (residual_a[j] * residual_a[k]) +
-                                           share_b * (residual_b[j] * residual_b[k]) -
-                                           share_a * share_b * (difference[j] * difference[k]));
+    const Float8 known = Load8(&input.known[p]);
+    const Float8 scale = known / (square * (1.0f / 3.0f) + kRelMseEpsilon);
+    const Float8 scale_ab = scale * share_a * share_b;
+    Float8 products[kNumProducts] = {};
+    Float8 difference = {}, variance = {};
+    for (size_t c = 0; c < 3; ++c) {
+      const Float8 a = Load8(&input.color[0][c][p]);
+      const Float8 b = Load8(&input.color[1][c][p]);
+      Float8 residual_a[kNumCandidates], residual_b[kNumCandidates], moved[kNumCandidates];
+      for (size_t j = 0; j < kNumCandidates; ++j) {
+        const Float8 filtered_a = Load8(&candidates[j].color[0][c][at[j]]);
+        const Float8 filtered_b = Load8(&candidates[j].color[1][c][at[j]]);
+        residual_a[j] = b - filtered_a;
+        residual_b[j] = a - filtered_b;
+        moved[j] = filtered_a - filtered_b;
       }
+      for (size_t j = 0, i = 0; j < kNumCandidates; ++j) {
+        for (size_t k = 0; k <= j; ++k, ++i) {
+          products[i] += scale * (share_a * (residual_a[j] * residual_a[k]) +
+                                  share_b * (residual_b[j] * residual_b[k])) -
+                         scale_ab * (moved[j] * moved[k]);
+        }
+      }
+      difference += scale_ab * ((a - b) * (a - b));
+      variance += scale * Load8(&input.variance[c][p]);
     }
-    const float raw = scale * (share_a * share_b) * ((a - b) * (a - b));
-    terms->difference[to] += raw;
-    terms->judges[to] += raw * (share_a / share_b + share_b / share_a);
-    terms->variance[to] += scale * input.variance[c][p];
+    // Unknown pixels have no share of half B.
+    const Float8 judges = known > 0.0f ? share_a / share_b + share_b / share_a : Float8{};
+    for (size_t i = 0; i < kNumProducts; ++i) Store8(&terms->products[i][to], products[i]);
+    Store8(&terms->difference[to], difference);
+    Store8(&terms->judges[to], difference * judges);
+    Store8(&terms->variance[to], variance);
+    p += kFloat8Lanes;
+    to += kFloat8Lanes;
+    for (size_t& i : at) i += kFloat8Lanes;
   }
 }
 
@@ -167,8 +183,11 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
   TESSERA_CHECK(n >= 1 && n <= kNumCandidatesMax);
   Terms terms(window.Expand(kRiskRadiusPx).Intersect(frame), n);
   for (int y = terms.bounds.y_begin; y < terms.bounds.y_end; ++y) {
-    for (int x = terms.bounds.x_begin; x < terms.bounds.x_end; ++x) {
-      SetTerms(input, candidates, x, y, &terms);
+    switch (n) {
+      case 1: SetTerms<1>(input, candidates, y, &terms); break;
+      case 2: SetTerms<2>(input, candidates, y, &terms); break;
+      case 3: SetTerms<3>(input, candidates, y, &terms); break;
+      default: SetTerms<4>(input, candidates, y, &terms);
     }
   }
   std::vector<Plane> pooled;

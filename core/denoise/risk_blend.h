@@ -30,8 +30,9 @@ struct BlendedPicture {
 // where M_jk pools over the n pixels around it the dual-buffer estimate of the covariance of the
 // errors of candidates j and k, and V is the raw mean's variance, pooled alike: 1 / sqrt(n) is the
 // standard error of the pooled estimate in units of V, so that the data speak where they are
-// louder than their noise. Where the blend's risk is above the raw mean's variance, the raw mean
-// stays.
+// louder than their noise. Where the blend's risk is above the raw mean's as the halves show it,
+// (A - B)^2 pooled alike, the raw mean stays: both come from the same samples, so that their noise
+// cancels.
 BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
                            std::span<const PassOutput> candidates, const PixelRect& window);
 

@@ -13,6 +13,7 @@ TEST(RegressionInput, ContinuesTheFrameByItsNearestPixel) {
   const PixelRect frame{-3, 2, 17, 14};
   const SyntheticFrame synthetic = MakeSyntheticFrame(frame, 0.1f, 8, 1);
   const RegressionInput input(frame.Expand(9), frame, synthetic.planes);
+  const RawFeatures features(frame.Expand(9), frame, synthetic.planes);
   for (int y = frame.y_begin - 9; y < frame.y_end + 9; ++y) {
     for (int x = frame.x_begin - 9; x < frame.x_end + 9; ++x) {
       const auto i = static_cast<size_t>(input.bounds.IndexOf(x, y));
@@ -21,7 +22,7 @@ TEST(RegressionInput, ContinuesTheFrameByItsNearestPixel) {
       const auto p = static_cast<size_t>(frame.IndexOf(from_x, from_y));
       ASSERT_EQ(input.known[i], frame.Contains(x, y) ? 1.0f : 0.0f);
       ASSERT_EQ(input.color[1][2][i], synthetic.planes.color_half[1][2][p]);
-      ASSERT_EQ(input.feature[6][i], synthetic.planes.depth[p]);
+      ASSERT_EQ(features.value[6][i], synthetic.planes.depth[p]);
     }
   }
 }
@@ -60,12 +61,13 @@ TEST(RegressionInput, EverythingIsFinite) {
     planes.normal_variance[1][i] = kUnknown;
   }
   const RegressionInput input(frame.Expand(3), frame, planes);
+  const RawFeatures features(frame.Expand(3), frame, planes);
   for (int64_t k = 0; k < input.bounds.area(); ++k) {
     const auto i = static_cast<size_t>(k);
     EXPECT_TRUE(std::isfinite(input.color[0][0][i]));
     EXPECT_TRUE(std::isfinite(input.variance[0][i]) && input.variance[0][i] > 0);
-    EXPECT_TRUE(std::isfinite(input.feature_variance[6][i]) && input.feature_variance[6][i] > 0);
-    EXPECT_TRUE(std::isfinite(input.feature_variance[4][i]));
+    EXPECT_TRUE(std::isfinite(features.variance[6][i]) && features.variance[6][i] > 0);
+    EXPECT_TRUE(std::isfinite(features.variance[4][i]));
   }
 }
 

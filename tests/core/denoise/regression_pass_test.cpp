@@ -15,8 +15,10 @@ class RegressionPass : public ::testing::Test {
  protected:
   RegressionPass()
       : frame_(MakeSyntheticFrame(kFrame, 0.3f, 16, 5)),
-        input_(kFrame.Expand(PassReachPx(kRadius) + kPrefilterRadiusPx), kFrame, frame_.planes),
-        features_(PrefilterFeatures(input_, kFrame.Expand(PassReachPx(kRadius)))) {}
+        input_(kFrame.Expand(PassReachPx(kRadius) + 1), kFrame, frame_.planes),
+        features_(PrefilterFeatures(
+            {kFrame.Expand(PassReachPx(kRadius) + kPrefilterRadiusPx), kFrame, frame_.planes},
+            kFrame.Expand(PassReachPx(kRadius)))) {}
 
   PassSettings Settings(const PixelRect& bounds, int step) const {
     return {kFrame, bounds, kRadius, step};
@@ -55,24 +57,24 @@ class RegressionPass : public ::testing::Test {
 
 TEST_F(RegressionPass, LowersTheError) {
   const double raw = RelativeError(frame_.planes.color, frame_.truth);
-  EXPECT_LT(Error(RunCrossPass(input_, features_, Settings(kFrame, 4))), 0.25 * raw);
-  EXPECT_LT(Error(RunPilotPass(input_, features_, TruthPilot(), 1, Settings(kFrame, 4))),
+  EXPECT_LT(Error(RunCrossPass(input_, features_, Settings(kFrame, 5))), 0.25 * raw);
+  EXPECT_LT(Error(RunPilotPass(input_, features_, TruthPilot(), 1, Settings(kFrame, 5))),
             0.1 * raw);
 }
 
 TEST_F(RegressionPass, ACoarserLatticeCostsLittle) {
   const double fine = Error(RunCrossPass(input_, features_, Settings(kFrame, 1)));
-  EXPECT_LT(Error(RunCrossPass(input_, features_, Settings(kFrame, 4))), 1.15 * fine);
+  EXPECT_LT(Error(RunCrossPass(input_, features_, Settings(kFrame, 5))), 1.15 * fine);
 }
 
 TEST_F(RegressionPass, BitsDoNotDependOnTheWindow) {
-  const PassOutput whole = RunCrossPass(input_, features_, Settings(kFrame, 4));
+  const PassOutput whole = RunCrossPass(input_, features_, Settings(kFrame, 5));
   const Pilot pilot = TruthPilot();
-  const PassOutput whole_pilot = RunPilotPass(input_, features_, pilot, 0, Settings(kFrame, 4));
+  const PassOutput whole_pilot = RunPilotPass(input_, features_, pilot, 0, Settings(kFrame, 5));
   for (const PixelRect& window : {PixelRect{31, 22, 32, 23}, PixelRect{5, 40, 26, 60}}) {
-    const PassOutput part = RunCrossPass(input_, features_, Settings(window, 4));
+    const PassOutput part = RunCrossPass(input_, features_, Settings(window, 5));
     const PassOutput part_pilot =
-        RunPilotPass(input_, features_, pilot, 0, Settings(window, 4));
+        RunPilotPass(input_, features_, pilot, 0, Settings(window, 5));
     for (int y = window.y_begin; y < window.y_end; ++y) {
       for (int x = window.x_begin; x < window.x_end; ++x) {
         const auto i = static_cast<size_t>(window.IndexOf(x, y));
