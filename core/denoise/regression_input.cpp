@@ -71,7 +71,7 @@ Plane ForEachPixel(const PixelRect& bounds, const PixelRect& frame, const FrameP
 
 RegressionInput::RegressionInput(const PixelRect& rect, const PixelRect& frame,
                                  const FramePlanes& planes)
-    : bounds(rect), share_a(SlackArea(rect)) {
+    : bounds(rect), variance_sum(SlackArea(rect)), share_a(SlackArea(rect)) {
   for (Planes3* three : {&color[0], &color[1], &variance}) {
     for (Plane& plane : *three) plane.resize(SlackArea(bounds));
   }
@@ -87,6 +87,7 @@ RegressionInput::RegressionInput(const PixelRect& rect, const PixelRect& frame,
       const float spread = Cut(planes.sample_variance_of_mean[c][p], kVarianceMax);
       variance[c][to] =
           Cut(spread * ratio[inside], kVarianceMax) + kRoundingVariance * mean * mean + kTiny;
+      variance_sum[to] += variance[c][to];
     }
   });
 }

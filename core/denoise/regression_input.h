@@ -32,8 +32,9 @@ struct RegressionInput {
   // Of the mean of both halves: the samples' own variance, times what the difference of the halves
   // says of it in the neighbourhood (low-discrepancy samples do better than their variance).
   Planes3 variance;
-  Plane known;    // 1: inside the frame, both halves have samples; else 0
-  Plane share_a;  // half A's share of the samples
+  Plane variance_sum;  // over the channels
+  Plane known;         // 1: inside the frame, both halves have samples; else 0
+  Plane share_a;       // half A's share of the samples
 };
 
 // The features as the samples give them; as RegressionInput.

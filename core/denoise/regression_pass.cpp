@@ -108,17 +108,13 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
                         const PassSettings& settings) {
   const PixelRect reached = settings.bounds.Expand(PassReachPx(settings.window_radius_px));
   TESSERA_CHECK(features.bounds.Contains(reached) && input.bounds.Contains(reached.Expand(1)));
-  // Of one half's mean; and over all channels.
-  Planes3 variance = input.variance;
-  Plane variance_sum(variance[0].size());
-  for (size_t c = 0; c < 3; ++c) {
-    for (size_t i = 0; i < variance_sum.size(); ++i) {
-      variance[c][i] *= 2.0f;
-      variance_sum[i] += variance[c][i];
-    }
+  Planes3 variance = input.variance;  // of one half's mean
+  for (Plane& plane : variance) {
+    for (float& value : plane) value *= 2.0f;
   }
   // Half A's weights come from half B.
-  const Guide guide{input.bounds, &input.known, {&input.color[1], &input.color[0]}, 2, &variance};
+  const Guide guide{input.bounds, &input.known, {&input.color[1], &input.color[0]}, 2, &variance,
+                    &input.variance_sum, input.bounds};
   WindowWeights weights(settings.window_radius_px);
   WindowFit fit;
   Accumulator sums(reached, kNumHalves);
@@ -129,7 +125,8 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
       const Planes3& color = input.color[half];
       const Plane* const targets[] = {color.data(), &color[1], &color[2]};
       fit.Fit(static_cast<int>(half), input.bounds, targets);
-      const float noise = fit.SquareWeightedSum(input.bounds, variance_sum) / fit.weight_sum();
+      const float noise =
+          2.0f * fit.SquareWeightedSum(input.bounds, input.variance_sum) / fit.weight_sum();
       for (size_t k = 1; k < static_cast<size_t>(fit.num_unknowns()); ++k) {
         Float8& z = fit.coefficients[k];
         z *= Kept(z[0] * z[0] + z[1] * z[1] + z[2] * z[2], noise);
@@ -152,7 +149,8 @@ PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& feat
     const auto to = static_cast<size_t>(pilot.bounds.IndexOf(pilot.bounds.x_begin, y));
     std::copy_n(input.known.data() + from, pilot.bounds.width(), known.data() + to);
   }
-  const Guide guide{pilot.bounds, &known, {&pilot.color}, 1, &pilot.variance};
+  const Guide guide{pilot.bounds,         &known, {&pilot.color}, 1, &pilot.variance,
+                    &input.variance_sum, input.bounds};
   WindowWeights weights(settings.window_radius_px);
   WindowFit fit;
   Accumulator sums(reached, 1);

@@ -12,6 +12,12 @@ namespace {
 // variance). A firefly differs from its neighbours by no more than its own noise, and would lend to
 // them all; measured, docs/denoiser.md.
 constexpr float kVarianceRatioMax = 4.0f;
+// By how much two estimates of one variance differ in one case of a thousand, from four samples
+// each, the fewest that are worth filtering: the logarithm of a normal variable's sample variance
+// has a variance of about 2 / (n - 1) (Bartlett & Kendall 1946), so exp(3.09 * 2 / sqrt(3)).
+constexpr float kLentRatioMax = 35.0f;
+// The centre's variance is taken from this far around it, as the pilot's is.
+constexpr int kCalmRadiusPx = 2;
 // The terms of a distance are at least -1, noise explaining all of no difference, but for
 // rounding.
 constexpr float kLeastTerm = -1.01f;
@@ -25,6 +31,23 @@ Float8 LaneMask(int count) {
   Float8 mask;
   for (int lane = 0; lane < kFloat8Lanes; ++lane) mask[lane] = lane < count ? 1.0f : 0.0f;
   return mask;
+}
+
+// The variance of what is fitted at (x, y): the mean of the known pixels around it, or its own if
+// that is larger. One pixel's alone may be small by chance, or 0 where no sample has met the light.
+float CalmVariance(const Guide& guide, int x, int y) {
+  float sum = 0, count = 0;
+  for (int dy = -kCalmRadiusPx; dy <= kCalmRadiusPx; ++dy) {
+    const size_t known = At(guide.bounds, x - kCalmRadiusPx, y + dy);
+    const size_t lent = At(guide.lent_bounds, x - kCalmRadiusPx, y + dy);
+    for (size_t dx = 0; dx <= 2 * kCalmRadiusPx; ++dx) {
+      const float weight = (*guide.known)[known + dx];
+      sum += weight * (*guide.lent_variance)[lent + dx];
+      count += weight;
+    }
+  }
+  const float own = (*guide.lent_variance)[At(guide.lent_bounds, x, y)];
+  return count > 0 ? std::max(own, sum / count) : own;
 }
 
 // The planes of a guide, and the patch around its centre, pixel by pixel of kPatch x kPatch.
@@ -101,7 +124,7 @@ WindowWeights::WindowWeights(int radius_px)
     : radius_px_(radius_px),
       num_row_vectors_((2 * radius_px + 1 + 7) / kFloat8Lanes),
       last_mask_(LaneMask(2 * radius_px + 1 - kFloat8Lanes * (num_row_vectors_ - 1))) {
-  TESSERA_CHECK(radius_px <= kWindowRadiusPxMax);
+  TESSERA_CHECK(radius_px >= kCalmRadiusPx && radius_px <= kWindowRadiusPxMax);
 }
 
 void WindowWeights::Set(const Guide& guide, int patch_radius_px, int x, int y) {
@@ -122,6 +145,8 @@ void WindowWeights::SetAs(const Guide& guide) {
   const PatchGuide<kNumValues, kPatch> patch(guide, x_, y_);
   const auto stride = static_cast<size_t>(guide.bounds.width());
   num_vectors_ = 0;
+  const float* const lent = guide.lent_variance->data() + At(guide.lent_bounds, x_, y_);
+  const float lent_max = kLentRatioMax * CalmVariance(guide, x_, y_);
   for (int dy = -radius_px_; dy <= radius_px_; ++dy) {
     for (int j = 0; j < num_row_vectors_; ++j) {
       const int dx = kFloat8Lanes * j - radius_px_;
@@ -140,11 +165,13 @@ void WindowWeights::SetAs(const Guide& guide) {
       if (is_far) continue;
       const Float8 known = Load8(patch.known + centre) *
                            (j + 1 < num_row_vectors_ ? Float8{} + 1.0f : last_mask_);
+      const Float8 v_q = Load8(lent + std::ptrdiff_t{dy} * guide.lent_bounds.width() + dx);
+      const Float8 share = known * Min8(Float8{} + 1.0f, lent_max / v_q);
       const Float8 scale = 1.0f / (3.0f * Max8(sums.count, Float8{} + 1.0f));
       const auto to = static_cast<size_t>(num_vectors_);
       Float8 all = {};
       for (size_t v = 0; v < kNumValues; ++v) {
-        weights_[v][to] = known * Falloff(sums.distance[v] * scale);
+        weights_[v][to] = share * Falloff(sums.distance[v] * scale);
         all += weights_[v][to];
       }
       begin_x_[to] = dx;

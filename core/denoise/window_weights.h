@@ -27,6 +27,9 @@ struct Guide {
   std::array<const Planes3*, kNumHalves> values = {};  // each gives its own weights
   int num_values = 1;
   const Planes3* variance = nullptr;  // of all of them, > 0
+  // The variance of what is fitted, > 0, row-major over lent_bounds.
+  const Plane* lent_variance = nullptr;
+  PixelRect lent_bounds;
 };
 
 // The weights of one window after another. Vectors whose pixels all have no weight are left out.
@@ -36,8 +39,10 @@ class WindowWeights {
   explicit WindowWeights(int radius_px);
 
   // Weighs the pixels around (x, y) by a falloff of the mean distance of their patches
-  // (2 patch_radius_px + 1 wide, at most 3) to the centre's; 0 for pixels that are not known.
-  // guide.bounds must contain the window expanded by patch_radius_px.
+  // (2 patch_radius_px + 1 wide, at most 3) to the centre's; 0 for pixels that are not known. A
+  // pixel that is certainly noisier than the centre gets so much less weight that it lends no more
+  // noise than one that may be as quiet.
+  // guide.bounds must contain the window expanded by patch_radius_px, guide.lent_bounds the window.
   void Set(const Guide& guide, int patch_radius_px, int x, int y);
 
   int radius_px() const { return radius_px_; }

@@ -36,7 +36,8 @@ class WindowFitTest : public ::testing::Test {
     SetWeights();
   }
   void SetWeights() {
-    weights_.Set({kBounds, &known_, {&flat_}, 1, &variance_}, 0, kCentre, kCentre);
+    weights_.Set({kBounds, &known_, {&flat_}, 1, &variance_, variance_.data(), kBounds}, 0,
+                 kCentre, kCentre);
   }
   void Fit(const SmoothFeatures& features, const Plane& target) {
     fit_.SetCentre(weights_, features);

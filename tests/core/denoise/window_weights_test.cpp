@@ -15,7 +15,7 @@ constexpr int kRadius = 9;
 constexpr int kCentre = 12;
 
 struct Planes {
-  Planes() : known(SlackArea(kBounds), 1.0f) {
+  Planes() : known(SlackArea(kBounds), 1.0f), lent(SlackArea(kBounds), 1.0f) {
     for (size_t c = 0; c < 3; ++c) {
       value[c].assign(SlackArea(kBounds), 1.0f);
       variance[c].assign(SlackArea(kBounds), 0.5f);
@@ -25,7 +25,7 @@ struct Planes {
     return value[c][static_cast<size_t>(kBounds.IndexOf(x, y))];
   }
   Planes3 value, variance;
-  Plane known;
+  Plane known, lent;
 };
 
 // The weights as a picture; 0 where no vector lies.
@@ -54,7 +54,8 @@ TEST(WindowWeights, ComparesPatchesInUnitsOfTheirNoise) {
     }
   }
   planes.known[static_cast<size_t>(kBounds.IndexOf(5, 5))] = 0;
-  const Guide guide{kBounds, &planes.known, {&planes.value}, 1, &planes.variance};
+  const Guide guide{kBounds, &planes.known, {&planes.value}, 1, &planes.variance,
+                    &planes.lent, kBounds};
   WindowWeights weights(kRadius);
   weights.Set(guide, 0, kCentre, kCentre);
   Plane spread = Spread(weights, 0);
@@ -67,6 +68,19 @@ TEST(WindowWeights, ComparesPatchesInUnitsOfTheirNoise) {
   spread = Spread(weights, 0);
   // A third of the patch lies beyond the edge.
   EXPECT_FLOAT_EQ(at(14, 12), Falloff(9.0f / 3.0f - 1.0f));
+}
+
+TEST(WindowWeights, NoisyPixelsLendLess) {
+  Planes planes;
+  planes.lent[static_cast<size_t>(kBounds.IndexOf(15, 12))] = 35.0f;
+  planes.lent[static_cast<size_t>(kBounds.IndexOf(16, 12))] = 350.0f;
+  const Guide guide{kBounds, &planes.known, {&planes.value}, 1, &planes.variance,
+                    &planes.lent, kBounds};
+  WindowWeights weights(kRadius);
+  weights.Set(guide, 1, kCentre, kCentre);
+  const Plane spread = Spread(weights, 0);
+  EXPECT_EQ(spread[static_cast<size_t>(kBounds.IndexOf(15, 12))], 1.0f);
+  EXPECT_FLOAT_EQ(spread[static_cast<size_t>(kBounds.IndexOf(16, 12))], 0.1f);
 }
 
 // Against the definition, pixel by pixel: what ends early must have had no weight.
@@ -84,7 +98,8 @@ TEST(WindowWeights, LeavesOutOnlyWhatHasNoWeight) {
     }
   }
   for (size_t i = 0; i < planes.known.size(); i += 7) planes.known[i] = 0;
-  const Guide guide{kBounds, &planes.known, {&planes.value, &other}, 2, &planes.variance};
+  const Guide guide{kBounds, &planes.known, {&planes.value, &other}, 2, &planes.variance,
+                    &planes.lent, kBounds};
   WindowWeights weights(kRadius);
   weights.Set(guide, 1, kCentre, kCentre - 1);
   EXPECT_LT(weights.num_vectors(), 57);
