@@ -3,7 +3,8 @@
 // mean brightness to another picture's.
 //   path_tracer_bench SCENE --look-from X,Y,Z --look-at X,Y,Z --fov-y DEG [--env FILE | --sky
 //   R,G,B]
-//     [--size WxH] [--spp N] [--threads N] [--out FILE.exr] [--png FILE.png] [--reference FILE.exr]
+//     [--size WxH] [--spp N] [--threads N] [--branches N] [--out FILE.exr] [--png FILE.png]
+//     [--reference FILE.exr]
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
@@ -33,7 +34,7 @@ struct Options {
   std::string size = "480x270";
   int width = 0, height = 0;
   int64_t spp = 16;
-  int threads = 2, max_depth = 8, build_threads = 2;
+  int threads = 2, max_depth = 8, build_threads = 2, branches = 0;
   uint64_t seed = 0;
 };
 
@@ -43,8 +44,7 @@ double Seconds() {
 }
 
 absl::StatusOr<std::unique_ptr<Scene>> Load(const Options& options) {
-  return LoadView(options.scene, options.view,
-                  static_cast<double>(options.width) / options.height);
+  return LoadView(options.scene, options.view, static_cast<double>(options.width) / options.height);
 }
 
 // Renders all tiles of the frame on `threads` threads and resolves them into planes.
@@ -137,6 +137,7 @@ absl::Status Run(const Options& options) {
   settings.max_depth = options.max_depth;
   settings.seed = options.seed;
   settings.isa = options.isa;
+  settings.branches = options.branches;
   settings.build_threads = options.build_threads;
   auto tracer = PathTracer::Create(*std::move(scene), settings);
   if (!tracer.ok()) return tracer.status();
@@ -149,8 +150,9 @@ absl::Status Run(const Options& options) {
   const double cpu_seconds = static_cast<double>(std::clock() - cpu_start) / CLOCKS_PER_SEC;
   std::printf(
       "%lld triangles, load %.2f s, build %.2f s, %.0f MB, attributes %.0f B/triangle; "
-      "render %.2f s (CPU %.2f s), "
-      "%.3f Msamples/s, %.2f Mrays/s, %.0f CPU ns/ray, %.2f rays/sample, %lld non-finite\n",
+      "render %.2f s (CPU %.3f s), "
+      "%.3f Msamples/s, %.2f Mrays/s, %.0f CPU ns/ray, %.2f rays/sample, "
+      "%d branches, %lld non-finite\n",
       static_cast<long long>(triangles), loaded - start, built - loaded,
       static_cast<double>((*tracer)->memory_bytes()) / 1e6,
       AttributeBytesPerTriangle((*tracer)->scene()), seconds, cpu_seconds,
@@ -158,7 +160,7 @@ absl::Status Run(const Options& options) {
       static_cast<double>(counters.rays) / seconds / 1e6,
       cpu_seconds / static_cast<double>(counters.rays) * 1e9,
       static_cast<double>(counters.rays) / static_cast<double>(counters.samples),
-      static_cast<long long>(counters.non_finite));
+      (*tracer)->branches(), static_cast<long long>(counters.non_finite));
   const Image picture = PictureOf(planes);
   if (!options.out.empty()) {
     if (absl::Status s = WriteExr(options.out, picture); !s.ok()) return s;
@@ -183,6 +185,7 @@ int main(int argc, char** argv) {
   app.add_option("--threads", options.threads);
   app.add_option("--build-threads", options.build_threads);
   app.add_option("--max-depth", options.max_depth);
+  app.add_option("--branches", options.branches)->check(CLI::IsMember({0, 1, 2, 4, 8}));
   app.add_option("--seed", options.seed);
   app.add_option("--isa", options.isa);
   app.add_option("--out", options.out);

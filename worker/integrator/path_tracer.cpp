@@ -8,8 +8,10 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/check.h"
 #include "core/film/pixel_folder.h"
 #include "core/film/pixel_sample.h"
+#include "worker/integrator/branch_pilot.h"
 #include "worker/integrator/light_guide.h"
 #include "worker/integrator/path_walker.h"
 #include "worker/integrator/sobol_sampler.h"
@@ -28,6 +30,7 @@ class PathTracer::Impl {
   std::unique_ptr<LightGuide> guide;  // null where there is nothing to learn
   std::unique_ptr<CameraRays> camera;
   std::unique_ptr<PathWalker> walker;
+  int branches = 1;
 };
 
 PathTracer::PathTracer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -52,6 +55,8 @@ absl::StatusOr<std::unique_ptr<PathTracer>> PathTracer::Create(std::unique_ptr<S
 
 absl::Status PathTracer::Build(std::unique_ptr<Scene> scene, Impl* impl) {
   const RenderSettings& settings = impl->settings;
+  TESSERA_CHECK(settings.branches >= 0 && settings.branches <= kBranchesMax &&
+                (settings.branches & (settings.branches - 1)) == 0);
   impl->scene = std::move(scene);
   Scene* s = impl->scene.get();
   impl->geometries = PlaceInstances(s);
@@ -73,9 +78,12 @@ absl::Status PathTracer::Build(std::unique_ptr<Scene> scene, Impl* impl) {
                            *impl->camera, settings.width, settings.height});
     impl->lights->SetGuide(impl->guide.get());
   }
-  impl->walker = std::make_unique<PathWalker>(
-      PathWalker::Parts{*impl->surfaces, *impl->embree, impl->environment.get(), *impl->lights,
-                        *impl->camera, settings.max_depth});
+  PathWalker::Parts parts{*impl->surfaces, *impl->embree, impl->environment.get(),
+                          *impl->lights,   *impl->camera, settings.max_depth};
+  parts.branches = settings.branches != 0 ? settings.branches
+                                          : ChooseBranches(parts, settings.width, settings.height);
+  impl->branches = parts.branches;
+  impl->walker = std::make_unique<PathWalker>(parts);
   return absl::OkStatus();
 }
 
@@ -182,6 +190,7 @@ absl::StatusOr<TileStatistics> PathTracer::Render(const PixelRect& window, Sampl
 }
 
 const Scene& PathTracer::scene() const { return *impl_->scene; }
+int PathTracer::branches() const { return impl_->branches; }
 
 int64_t PathTracer::memory_bytes() const {
   int64_t bytes = impl_->scene->memory_bytes() + impl_->embree->memory_bytes() +

@@ -23,6 +23,7 @@ struct RenderSettings {
   uint64_t seed = 0;
   int64_t feature_end = kAllFeatures;  // samples below it carry features (TileStatistics)
   std::string isa = "x86-64-v3";
+  int branches = 0;  // of paths at their first surface, 1 to 8; 0: as many as a pilot finds best
   int build_threads = 1;  // for Embree's BVH; moves no bit of the picture
 };
 
@@ -50,6 +51,7 @@ class PathTracer {
                                         RenderCounters* counters) const;
 
   const Scene& scene() const;
+  int branches() const;          // in use
   int64_t memory_bytes() const;  // scene and acceleration structures
 
  private:

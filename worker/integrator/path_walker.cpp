@@ -61,7 +61,8 @@ void Store(const V3f& v, float (&out)[3]) {
 
 struct PathWalker::PathState {
   const PathRequest* request;
-  Ray ray;  // unit direction
+  SobolSampler sampler = SobolSampler(0, 0);  // the request's, or a branch's
+  Ray ray;                                    // unit direction
   RayHit hit;
   V3f medium = V3f(0, 0, 0);  // absorption where the ray is, 1/m, as the last boundary says
   bool seeks_features;  // features are asked for, and only mirrors and clear glass were met so far
@@ -112,6 +113,8 @@ PathWalker::PathWalker(const Parts& parts)
       first_hits_(parts.camera, parts.embree, parts.environment),
       max_depth_(std::min(parts.max_depth, kDepthLimit)) {}
 
+int PathWalker::NumBranches(int depth) const { return depth == 0 ? parts_.branches : 1; }
+
 int PathWalker::NumLightSamples(int depth) const {
   return depth == 0 && parts_.lights.has_extended_lights() ? kFirstLightSamples : 1;
 }
@@ -128,7 +131,8 @@ float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) 
 void PathWalker::Start(const PathRequest& request, const CameraHit& hit, PathState* path) const {
   path->request = &request;
   path->seeks_features = request.with_features;
-  path->hash_key = request.sampler.HashKey();
+  path->sampler = request.sampler;
+  path->hash_key = path->sampler.HashKey();
   path->ray = hit.ray;
   path->hit = hit.hit;
   const CameraRays::PixelCone cone = parts_.camera.pixel_cone();
@@ -189,7 +193,7 @@ void PathWalker::Read(Batch* batch) const {
       StoreFeatures(path, path.bsdf->Albedo(), batch->samples[i]);
       path.seeks_features = path.bsdf->IsMirror();
     }
-    path.numbers = path.request->sampler.Get4x2D(
+    path.numbers = path.sampler.Get4x2D(
         kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path.depth),
         path.request->seeds);
   }
@@ -275,7 +279,8 @@ void PathWalker::Illuminate(int depth, Batch* batch) const {
       const BsdfValue value = path.bsdf->Evaluate(path.frame->ToLocal(light.wi));
       path.direct = path.throughput * value.f_cos * light.radiance * (1 / light.pdf);
       if (!light.punctual) {
-        path.direct *= StrategyWeight(light.pdf, value.pdf, LightStrategy::kLightsOnly);
+        const float other_pdf = value.pdf * static_cast<float>(NumBranches(depth));
+        path.direct *= StrategyWeight(light.pdf, other_pdf, LightStrategy::kLightsOnly);
       }
       if (MaxComponent(path.direct) > 0) batch->lit.Add(i);
     }
@@ -325,26 +330,60 @@ void PathWalker::CastShadows(Batch* batch) const {
 // Leaves in `walking` the paths that go on, with their next rays.
 void PathWalker::Scatter(Batch* batch) const {
   batch->walking.Clear();
-  // The last bounce's ray only looks for light that direct lighting competes for.
-  const bool last_is_blind = parts_.environment == nullptr && !parts_.lights.has_extended_lights();
   std::array<BsdfSample, kPathsMax> scattered;
   Batch::List scattering;
   for (int i : batch->met) {
     const PathState& path = batch->paths[i];
-    if (last_is_blind && path.depth == max_depth_) continue;
+    if (IsBlind(path)) continue;
     if (path.bsdf->Sample(path.numbers[kChoice].y, path.numbers[kScatter], &scattered[i])) {
       scattering.Add(i);
     }
   }
   for (int i : scattering) {
-    if (Continue(scattered[i], &batch->paths[i])) batch->walking.Add(i);
+    PathState& path = batch->paths[i];
+    if (Continue(path, scattered[i], &path)) batch->walking.Add(i);
+  }
+}
+
+// The last bounce's ray only looks for light that direct lighting competes for.
+bool PathWalker::IsBlind(const PathState& path) const {
+  return path.depth == max_depth_ && parts_.environment == nullptr &&
+         !parts_.lights.has_extended_lights();
+}
+
+// Sends branch number `branch` of each path that met a surface on its way, as a path of its own.
+void PathWalker::Branch(const Batch& stems, int branch, Batch* batch) const {
+  batch->walking.Clear();
+  for (int i : stems.met) {
+    const PathState& stem = stems.paths[i];
+    if (IsBlind(stem)) continue;
+    PathState& path = batch->paths[i];
+    path.sampler = stem.sampler.Branch(branch, parts_.branches);
+    path.hash_key = path.sampler.HashKey();
+    const SobolSampler::Points numbers =
+        parts_.branches == 1 ? stem.numbers
+                             : path.sampler.Get4x2D(kFirstBounceGroup, stem.request->seeds);
+    BsdfSample scattered;
+    if (!stem.bsdf->Sample(numbers[kChoice].y, numbers[kScatter], &scattered)) continue;
+    path.request = stem.request;
+    path.medium = stem.medium;
+    path.seeks_features = stem.seeks_features && branch == 0;
+    path.throughput = stem.throughput;
+    path.radiance = V3f(0, 0, 0);
+    path.depth = stem.depth;
+    path.cone_width = stem.cone_width;
+    path.cone_spread = stem.cone_spread;
+    path.view = stem.view;
+    batch->samples[i] = stems.samples[i];
+    if (Continue(stem, scattered, &path)) batch->walking.Add(i);
   }
 }
 
 // Sends the path on, unless it loses Russian roulette or the direction is none of the surface's.
-bool PathWalker::Continue(const BsdfSample& scattered, PathState* path) const {
-  const Surface& surface = *path->surface;
-  const V3f direction = Unit(path->frame->ToWorld(scattered.wi));
+bool PathWalker::Continue(const PathState& from, const BsdfSample& scattered,
+                          PathState* path) const {
+  const Surface& surface = *from.surface;
+  const V3f direction = Unit(from.frame->ToWorld(scattered.wi));
   const float above = direction.dot(surface.geometric_normal);
   if (above * scattered.wi.z <= 0) return false;
   path->throughput *= scattered.weight;
@@ -362,7 +401,7 @@ bool PathWalker::Continue(const BsdfSample& scattered, PathState* path) const {
   if (scattered.wi.z < 0 && !surface.bsdf.thin_walled) {
     path->medium = surface.front_face ? surface.absorption : V3f(0, 0, 0);
   }
-  path->pdf = scattered.pdf;
+  path->pdf = scattered.pdf * static_cast<float>(NumBranches(path->depth));
   path->cone_spread += kConeShare / std::sqrt(kPiFloat * scattered.pdf);
   ++path->depth;
   return true;
@@ -370,23 +409,34 @@ bool PathWalker::Continue(const BsdfSample& scattered, PathState* path) const {
 
 void PathWalker::Walk(std::span<const PathRequest> requests, std::span<const CameraHit> hits,
                       std::span<PixelSample> samples, int64_t* rays) const {
-  Batch batch;
+  Batch stems, batch;
   for (int i = 0; i < static_cast<int>(hits.size()); ++i) {
-    Start(requests[hits[i].request], hits[i], &batch.paths[i]);
-    batch.samples[i] = &samples[hits[i].request];
-    batch.met.Add(i);
+    Start(requests[hits[i].request], hits[i], &stems.paths[i]);
+    stems.samples[i] = &samples[hits[i].request];
+    stems.met.Add(i);
   }
-  for (int depth = 0; batch.met.size() > 0; ++depth) {
-    Read(&batch);
-    Illuminate(depth, &batch);
-    Scatter(&batch);
-    CastShadows(&batch);
+  Read(&stems);
+  Illuminate(0, &stems);
+  CastShadows(&stems);
+  for (int branch = 0; branch < parts_.branches; ++branch) {
+    Branch(stems, branch, &batch);
+    const Batch::List begun = batch.walking;
     Intersect(&batch);
+    for (int depth = 1; batch.met.size() > 0; ++depth) {
+      Read(&batch);
+      Illuminate(depth, &batch);
+      Scatter(&batch);
+      CastShadows(&batch);
+      Intersect(&batch);
+    }
+    for (int i : begun)
+      stems.paths[i].radiance +=
+          batch.paths[i].radiance * ((1 / static_cast<float>(parts_.branches)));
   }
   for (size_t i = 0; i < hits.size(); ++i) {
-    Store(batch.paths[i].radiance, batch.samples[i]->radiance);
+    Store(stems.paths[i].radiance, stems.samples[i]->radiance);
   }
-  *rays += batch.rays;
+  *rays += stems.rays + batch.rays;
 }
 
 void PathWalker::Trace(std::span<const PathRequest> requests, std::span<PixelSample> samples,

@@ -31,6 +31,7 @@ class PathWalker {
     const CameraRays& camera;
     int max_depth;  // bounces after the camera hit
     LightStrategy strategy = LightStrategy::kBoth;
+    int branches = 1;  // into which a path parts at its first surface; a power of two
   };
   explicit PathWalker(const Parts& parts);
 
@@ -54,6 +55,7 @@ class PathWalker {
   void Read(Batch* batch) const;
   void Illuminate(int depth, Batch* batch) const;
   void Scatter(Batch* batch) const;
+  void Branch(const Batch& stems, int branch, Batch* batch) const;
   void CastShadows(Batch* batch) const;
 
   void AddEscaped(PathState* path) const;
@@ -61,10 +63,12 @@ class PathWalker {
   void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
   void AddEmission(PathState* path) const;
   bool Arrive(PathState* path, PixelSample* sample) const;
+  int NumBranches(int depth) const;
   int NumLightSamples(int depth) const;
   bool SampleLight(const LightWeights& weights, int round, PathState* path) const;
   void AimShadow(PathState* path) const;
-  bool Continue(const BsdfSample& scattered, PathState* path) const;
+  bool IsBlind(const PathState& path) const;
+  bool Continue(const PathState& from, const BsdfSample& scattered, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;
 
   Parts parts_;

@@ -129,6 +129,15 @@ class SobolSampler {
   }
 
   uint64_t sequence_key() const { return key_; }
+  // The sampler of branch number `branch` of `num_branches`, a power of two: the branches of
+  // successive samples are successive points of the sequence. One branch is the sample itself.
+  SobolSampler Branch(int branch, int num_branches) const {
+    SobolSampler sampler = *this;
+    sampler.index_reversed_ =
+        ReverseBits(ReverseBits(index_reversed_) * static_cast<uint32_t>(num_branches) +
+                    static_cast<uint32_t>(branch));
+    return sampler;
+  }
 
   // Two numbers in [0, 1) of dimension group `group`.
   Imath::V2f Get2D(uint32_t group) const {

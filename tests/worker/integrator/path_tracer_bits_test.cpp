@@ -25,6 +25,7 @@ std::unique_ptr<PathTracer> Tracer(int build_threads, int64_t feature_end = kAll
   settings.width = kWidth;
   settings.height = kHeight;
   settings.build_threads = build_threads;
+  settings.branches = 4;
   settings.seed = 5;
   settings.feature_end = feature_end;
   return *PathTracer::Create(Mixture(), settings);

@@ -356,7 +356,9 @@ TEST(PathTracerTest, CancelStopsAndSamplesAreCounted) {
   auto scene = Floor(Lambert(V3f(0.5f)));
   scene->environment.emplace();
   scene->environment->uniform = V3f(1);
-  const auto tracer = PathTracer::Create(std::move(scene), Small(0));
+  RenderSettings settings = Small(0);
+  settings.branches = 1;
+  const auto tracer = PathTracer::Create(std::move(scene), settings);
   ASSERT_TRUE(tracer.ok());
   std::atomic<bool> cancel = false;
   RenderCounters counters;

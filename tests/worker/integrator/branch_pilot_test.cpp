@@ -1,0 +1,112 @@
+#include "worker/integrator/branch_pilot.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include "tests/worker/integrator/golden_scenes.h"
+#include "tests/worker/integrator/test_scenes.h"
+#include "worker/integrator/path_tracer.h"
+
+namespace tessera::testing {
+namespace {
+
+constexpr int kSize = 16;
+constexpr int kSeeds = 12;
+
+struct SeedMoments {
+  double mean = 0;      // of the frame
+  double variance = 0;  // of a pixel's mean, averaged over the frame
+  double error2 = 0;    // squared standard error of `mean`
+};
+
+SeedMoments MomentsWith(std::unique_ptr<Scene> (*make)(), int branches, uint64_t first_seed) {
+  std::vector<std::vector<double>> pictures;
+  for (uint64_t seed = 0; seed < kSeeds; ++seed) {
+    RenderSettings settings;
+    settings.width = settings.height = kSize;
+    settings.max_depth = 6;
+    settings.seed = first_seed + seed;
+    settings.branches = branches;
+    const TileStatistics tile = RenderAll(make(), settings, 4);
+    std::vector<double> picture;
+    for (size_t p = 0; p < size_t{kSize} * kSize; ++p) {
+      picture.push_back(0.5 * (double{tile.Floats(0, kRadianceMean)[p]} +
+                               double{tile.Floats(1, kRadianceMean)[p]}));
+    }
+    pictures.push_back(picture);
+  }
+  SeedMoments moments;
+  const size_t num_pixels = pictures[0].size();
+  for (size_t p = 0; p < num_pixels; ++p) {
+    double sum = 0, squares = 0;
+    for (const auto& picture : pictures) sum += picture[p];
+    const double mean = sum / kSeeds;
+    for (const auto& picture : pictures) squares += (picture[p] - mean) * (picture[p] - mean);
+    moments.mean += mean / static_cast<double>(num_pixels);
+    moments.variance += squares / (kSeeds - 1) / static_cast<double>(num_pixels);
+  }
+  moments.error2 = moments.variance / (kSeeds * static_cast<double>(num_pixels));
+  return moments;
+}
+
+TEST(BranchPilotTest, BranchesMoveNoMeanAndLowerTheVariance) {
+  for (auto* make : {Mixture, CornellBox}) {
+    const SeedMoments one = MomentsWith(make, 1, 0);
+    const SeedMoments many = MomentsWith(make, 8, 1000);
+    // Z within 4: 1 in 16,000.
+    EXPECT_LT(std::fabs(many.mean - one.mean), 4 * std::sqrt(many.error2 + one.error2));
+    // The rest is of the points of a pixel, and of light that arrives directly.
+    EXPECT_LT(many.variance, 0.95 * one.variance);
+  }
+}
+
+TEST(BranchPilotTest, AWhiteFurnaceStaysWhite) {
+  for (int branches : {1, 4}) {
+    auto scene = std::make_unique<Scene>();
+    const int white = AddMaterial(Lambert(V3f(0.75f)), scene.get());
+    AddMesh(Sphere(white, {0, 0, 0}, 1, 24, true), scene.get());
+    scene->environment.emplace();
+    scene->environment->uniform = V3f(1);
+    scene->camera = Camera({0, 0, 9}, {0, 0, 0}, 4);
+    RenderSettings settings;
+    settings.width = settings.height = 8;
+    settings.branches = branches;
+    // A convex body under a white sky shows its albedo.
+    EXPECT_NEAR(RenderMoments(std::move(scene), settings, 16).mean[1], 0.75, 2e-3) << branches;
+  }
+}
+
+TEST(BranchPilotTest, CheapBranchesAreMany) {
+  EXPECT_EQ(BranchesForCosts(0, 1), 1);
+  EXPECT_EQ(BranchesForCosts(0.1, 1), 1);
+  EXPECT_EQ(BranchesForCosts(1, 1), 2);
+  EXPECT_EQ(BranchesForCosts(3, 1), 4);
+  EXPECT_EQ(BranchesForCosts(10, 1), 8);
+  EXPECT_EQ(BranchesForCosts(1e6, 1), kBranchesMax);
+}
+
+TEST(BranchPilotTest, WhereNothingIsMetNothingParts) {
+  auto scene = std::make_unique<Scene>();
+  const int white = AddMaterial(Lambert(V3f(0.75f)), scene.get());
+  AddMesh(Quad(white, {0, 0, 5}, {1, 0, 0}, {0, 1, 0}), scene.get());  // behind the camera
+  scene->camera = Camera({0, 0, 0}, {0, 0, -1}, 40);
+  const auto tracer = PathTracer::Create(std::move(scene), {});
+  ASSERT_TRUE(tracer.ok());
+  EXPECT_EQ((*tracer)->branches(), 1);
+}
+
+TEST(BranchPilotTest, AlwaysTheSameAnswer) {
+  RenderSettings settings;
+  const auto first = PathTracer::Create(Mixture(), settings);
+  settings.build_threads = 3;
+  const auto second = PathTracer::Create(Mixture(), settings);
+  ASSERT_TRUE(first.ok() && second.ok());
+  EXPECT_EQ((*first)->branches(), (*second)->branches());
+  EXPECT_GT((*first)->branches(), 1);
+}
+
+}  // namespace
+}  // namespace tessera::testing
