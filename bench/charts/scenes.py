@@ -83,12 +83,12 @@ def make(args, work: pathlib.Path, page: pathlib.Path | None) -> None:
     names = [scene.split("=")[0] for scene in own]
     chosen = ["raw", "regression", "geometric"] if args.quick else _methods(args)
     rows = _chart(args, own, chosen, folder)
+    floors = results.read_settings(folder / "points.json")["noise_floor"]
     if args.cycles:
         # Slow to start, so on two scenes only; what is finished above is not done again.
         with_peer = [s for s in own if s.split("=")[0] in ("cornell", "kitchen")]
         found = _chart(args, with_peer, [*chosen, methods.CYCLES], folder)
         rows += [r for r in found if r["method"] == methods.CYCLES]
-    floors = results.read_settings(folder / "points.json")["noise_floor"]
     drawing.draw_main(rows, names, floors, args.out / "accuracy", png=False)
     drawing.draw_multipliers(rows, names, args.out / "multipliers", png=False)
     for name in ("still_life", "kitchen"):

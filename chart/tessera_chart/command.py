@@ -136,8 +136,8 @@ def intro(plan: ladder.Plan, version: str) -> list[str]:
         "own noise on average; below the dotted line it is uncertain all the same. Points are means "
         "over the seeds, bars reach from the least seed to the greatest.",
         "Time is that of the render up to so many samples plus that of the filter. CPU time of "
-        "the render is in proportion to samples (the longest step, less what a process costs that "
-        "adds none); start-up, files and encoding are in no curve. Yellow marks the Pareto front: "
+        "the render is that of loading and of samples as the last two steps tell them apart, less "
+        "what a process costs that adds none: start-up, files and encoding are in no curve. Yellow marks the Pareto front: "
         "no method has both less cost and less error. Methods ending in -best were tuned with "
         "the reference in hand and are left out of it, as is another renderer.",
         "Who wins is read off the mean curves, straight between points in log-log, beyond the last "

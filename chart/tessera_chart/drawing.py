@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")
 
 from matplotlib import pyplot
-from matplotlib.ticker import LogFormatterSciNotation
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator
 
 from tessera_chart import curves, results
 
@@ -40,12 +40,28 @@ def style(method: str, index: int = 0) -> dict:
     return {"color": color, "marker": marker, "linestyle": line, "markersize": 4, "linewidth": 1.2}
 
 
+class _FewDecades(LogFormatterSciNotation):
+    """Plain numbers where an axis spans less than two decades; else powers of ten."""
+
+    def __init__(self, is_minor: bool):
+        super().__init__()
+        self._is_minor = is_minor
+
+    def __call__(self, x, pos=None):
+        low, high = sorted(self.axis.get_view_interval())
+        if low > 0 and high / low < 100:
+            return f"{x:g}"
+        return "" if self._is_minor else super().__call__(x, pos)
+
+
 def log_axes(axes, x: bool = True, y: bool = True) -> None:
-    """Decades have labels; where there are few of them, so have some numbers between."""
+    """Decades have labels; where there are few of them, so have 2 and 5."""
     for chosen, axis, scale in ((x, axes.xaxis, axes.set_xscale), (y, axes.yaxis, axes.set_yscale)):
         if chosen:
             scale("log")
-            axis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(1.5, 0.5)))
+            axis.set_minor_locator(LogLocator(subs=(2, 5)))
+            axis.set_major_formatter(_FewDecades(is_minor=False))
+            axis.set_minor_formatter(_FewDecades(is_minor=True))
             axis.set_tick_params(which="minor", labelsize=7)
 
 

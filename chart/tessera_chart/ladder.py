@@ -45,6 +45,20 @@ class Task:
     run: Callable[[], None]
 
 
+def cpu_times(counts: list[int], process_s: list[float], nothing_s: float) -> tuple[float, float]:
+    """CPU seconds of loading, and of one sample per pixel, from those of the ladder's processes.
+
+    `nothing_s` is of a process that takes up a film and adds no sample. The last two steps tell
+    loading and samples apart; a ladder of fewer than three steps counts loading with the samples.
+    """
+    added = [n - before for n, before in zip(counts, [0, *counts])]
+    last = max(0.0, process_s[-1] - nothing_s)
+    if len(counts) < 3 or added[-1] == added[-2]:
+        return 0.0, last / added[-1]
+    per_spp = max(0.0, process_s[-1] - process_s[-2]) / (added[-1] - added[-2])
+    return max(0.0, last - per_spp * added[-1]), per_spp
+
+
 class Ladder:
     """One view's work and results."""
 
@@ -246,21 +260,22 @@ class Ladder:
             nothing = self.store.get(f"{seed}.nothing")
             if nothing is None or None in steps:
                 continue
-            before = self.plan.spp[-2] if len(self.plan.spp) > 1 else 0
-            cpu_per_spp = max(0.0, steps[-1]["process_cpu_s"] - nothing["process_cpu_s"]) / (
-                self.plan.spp[-1] - before)
-            load = steps[0]["seconds"]["load"]
-            wall, sent = load, 0
+            load_cpu_s, cpu_per_spp = cpu_times(
+                self.plan.spp, [s["process_cpu_s"] for s in steps], nothing["process_cpu_s"])
+            wall, sent = steps[0]["seconds"]["load"], 0
             for spp, step in zip(self.plan.spp, steps):
                 wall += step["seconds"]["render"]
                 sent += step["bytes"]["deltas"]
                 shared = {"scene": self.view.name, "seed": seed, "spp": spp, "own_spp": spp,
-                          "render_s": wall, "render_cpu_s": load + cpu_per_spp * spp,
+                          "render_s": wall, "render_cpu_s": load_cpu_s + cpu_per_spp * spp,
                           "bytes": sent}
                 for method in self.plan.methods:
                     found = self.store.get(f"{seed}.{spp}.{method.name}")
                     if found is not None:
-                        rows.append(self._row(method.name, shared, found))
+                        row = self._row(method.name, shared, found)
+                        if method.name == methods.ADAPTIVE:
+                            row["total_cpu_s"] -= nothing["process_cpu_s"]
+                        rows.append(row)
         return rows
 
     def _row(self, method: str, shared: dict, found: dict) -> dict:

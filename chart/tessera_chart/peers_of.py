@@ -56,7 +56,8 @@ class Cycles:
 
     def render(self, spp: int, seed: int) -> tuple[pathlib.Path, float, float]:
         """The picture, CPU and wall-clock seconds of the whole process. Errors: BadInput."""
-        out = self._store.path(f"{seed}.{spp}.cycles.exr").resolve()
+        # Its job file lies beside its picture, which must not be taken for a result.
+        out = self._store.path(f"{seed}.{spp}.cycles.picture.exr").resolve()
         start = time.monotonic()
         try:
             cpu_s = self._renderer.render(self._view, self._scene, self._frame, spp, seed, out)

@@ -2,7 +2,7 @@
 
 import unittest
 
-from tessera_chart import curves, methods, results
+from tessera_chart import curves, ladder, methods, results
 
 
 class Curves(unittest.TestCase):
@@ -45,6 +45,16 @@ class Search(unittest.TestCase):
             method, lambda o: abs(o["radius"] - 8) + abs(o["depth"] - 0.2))
         self.assertEqual(best, {"radius": 8, "depth": 0.2})
         self.assertGreater(tried, 5)
+
+
+class CpuTimes(unittest.TestCase):
+    def test_tells_loading_and_samples_apart(self):
+        load, per_spp = ladder.cpu_times([4, 16, 64], [9, 0.3 + 0.5 + 12 * 0.1, 0.3 + 0.5 + 4.8], 0.3)
+        self.assertAlmostEqual(load, 0.5)
+        self.assertAlmostEqual(per_spp, 0.1)
+
+    def test_short_ladders_count_loading_with_the_samples(self):
+        self.assertEqual(ladder.cpu_times([4], [1.3], 0.3), (0.0, 0.25))
 
 
 class Means(unittest.TestCase):
