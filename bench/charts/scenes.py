@@ -45,7 +45,8 @@ def _tables(rows: list[dict], names: list[str]) -> str:
     parts = []
     for name in names:
         by_method = results.means_of(rows, name)
-        parts.append(f"**{name}.** {results.sentence(name, by_method).split(': ', 1)[1].capitalize()}\n\n"
+        who_wins = results.sentence(name, by_method).split(": ", 1)[1]
+        parts.append(f"**{name}**: {who_wins}\n\n"
                      + report.multiplier_table(results.multipliers(by_method), as_html=False))
     return "\n\n".join(parts)
 
