@@ -255,6 +255,7 @@ absl::Status Measure(const Options& options, const Denoiser& denoiser, const std
     absl::StatusOr<DenoiseInput> read = ReadDenoiseInput({parts[0]}, {});
     if (!read.ok()) return read.status();
     planes = std::move(read->planes);
+    CalibrateVariance(planes.bounds, &planes);
   }
   Truth truth;
   absl::StatusOr<Planes3> first = ReadColor(references.front(), true);
