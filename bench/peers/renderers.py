@@ -119,9 +119,10 @@ def embree_samples_per_cpu_second(folder: pathlib.Path, threads: int) -> float |
 
 def tessera_samples_per_cpu_second(bench: pathlib.Path, scene: pathlib.Path, threads: int,
                                    folder: pathlib.Path) -> float:
-    """Of the path tracer alone on the project's Cornell box at the same size and path length."""
+    """Of the path tracer alone on the project's Cornell box at the same size and path length; paths
+    of one branch, as the tutorial's are."""
     command = [str(bench), str(scene), "--size", "512x512", "--spp", "16", "--threads",
-               str(threads), "--max-depth", "7"]
+               str(threads), "--max-depth", "7", "--branches", "1"]
     _, text = run(command, folder / "tessera_cornell.log")
     cpu = float(re.search(r"\(CPU ([0-9.]+) s\)", text).group(1))
     return 512 * 512 * 16 / cpu
