@@ -17,7 +17,8 @@ JobRequests::JobRequests(CoordinatorHost& host, AssetStore& assets, SettingsDefa
       defaults_(std::move(defaults)),
       keeper_(std::move(keeper)) {}
 
-absl::Status JobRequests::Create(const v1::CreateJobRequest& request, v1::Job* response) {
+absl::Status JobRequests::Create(const v1::CreateJobRequest& request, const std::string& owner,
+                                 v1::Job* response) {
   const JobId repeated =
       host_.Read([&](const Coordinator& c) { return c.JobOfRequest(request.request_id()); });
   if (repeated != 0) {
@@ -30,7 +31,10 @@ absl::Status JobRequests::Create(const v1::CreateJobRequest& request, v1::Job* r
   for (const v1::AssetRef& asset : settings->assets()) {
     digests.push_back(*Sha256FromBytes(asset.sha256()));
   }
-  CreateJobEvent event{.settings = *settings, .request_id = request.request_id(), .film = nullptr};
+  CreateJobEvent event{.settings = *settings,
+                       .request_id = request.request_id(),
+                       .owner = owner,
+                       .film = nullptr};
   if (absl::Status status = assets_.CheckQuota(); !status.ok()) return status;
   if (absl::Status status = assets_.CheckPresent(digests); !status.ok()) return status;
   if (!request.continue_film_sha256().empty()) {

@@ -26,8 +26,10 @@ class JobRequests {
   JobRequests(CoordinatorHost& host, AssetStore& assets, SettingsDefaults defaults,
               JobKeeper keeper);
 
+  // owner: the name of the token that asks; empty where none is needed.
   // Errors: as JobService.CreateJob.
-  absl::Status Create(const v1::CreateJobRequest& request, v1::Job* response);
+  absl::Status Create(const v1::CreateJobRequest& request, const std::string& owner,
+                      v1::Job* response);
   // Errors: INVALID_ARGUMENT, NOT_FOUND.
   absl::Status Get(const std::string& name, v1::Job* response) const;
   // response: the job as it is then; may be null. Errors: INVALID_ARGUMENT, NOT_FOUND,

@@ -6,6 +6,7 @@
 #include <CLI/CLI.hpp>
 #include <fmt/core.h>
 
+#include "core/base/environment_name.h"
 #include "core/base/version.h"
 #include "core/image/output_file.h"
 #include "server/log.h"
@@ -61,8 +62,14 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
       ->capture_default_str();
   app.add_option("--port-file", arguments.port_file,
                  "Writes the ports that were chosen: GRPC=N and HTTP=N, a line each");
+  app.add_option("--tls-cert", service.tls.cert, "Certificate chain (PEM): speaks TLS");
+  app.add_option("--tls-key", service.tls.key, "Its private key (PEM)");
+  app.add_option("--client-ca", service.tls.client_ca,
+                 "Authority (PEM) whose certificates workers must have");
+  app.add_option("--token-file", service.token_file,
+                 "Lines of ROLE NAME TOKEN, role = view, submit, admin or worker: asks for tokens");
   app.add_flag("--insecure", service.insecure, "Allows plaintext on other than loopback addresses");
-  app.add_flag("--verbose", arguments.verbose, "Logs more");
+  ReadFlagsFromEnvironment(app);
 }
 
 absl::Status WritePorts(const std::string& path, const Service& service) {

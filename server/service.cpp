@@ -4,13 +4,14 @@
 #include <atomic>
 #include <thread>
 
+#include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
 #include <unistd.h>
 
-#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "core/base/version.h"
+#include "proto/channel/server_address.h"
 #include "server/coordinator/limits.h"
 #include "server/coordinator_host.h"
 #include "server/http/http_server.h"
@@ -24,6 +25,7 @@
 #include "server/rpc/watch_hub.h"
 #include "server/rpc/worker_service.h"
 #include "server/rpc/worker_sessions.h"
+#include "server/security/access.h"
 #include "server/store/catalogue.h"
 #include "server/store/data_dir.h"
 #include "server/store/film_store.h"
@@ -39,20 +41,13 @@ constexpr int kKeepaliveTimeoutMs = 10000;
 constexpr std::chrono::milliseconds kShutdownGrace{1000};
 constexpr char kHttpOff[] = "off";
 
-bool IsLoopback(const std::string& address) {
-  const std::string host = address.substr(0, address.rfind(':'));
-  // A name may begin with 127. too: only numbers are this machine's.
-  return host == "localhost" || host == "[::1]" || absl::StartsWith(address, "unix:") ||
-         (absl::StartsWith(host, "127.") &&
-          host.find_first_not_of("0123456789.") == std::string::npos);
-}
-
 absl::Status CheckOptions(const ServiceOptions& options) {
   for (const std::string& address : {options.listen, options.http_listen}) {
-    if (!address.empty() && address != kHttpOff && !IsLoopback(address) && !options.insecure) {
+    if (!address.empty() && address != kHttpOff && !IsLoopback(address) &&
+        !options.tls.enabled() && !options.insecure) {
       return absl::InvalidArgumentError(absl::StrCat(
-          "plaintext on ", address, " could be read by anyone: listen on 127.0.0.1, or say "
-          "--insecure if the network is yours"));
+          "plaintext on ", address, " could be read by anyone: give --tls-cert and --tls-key, "
+          "listen on 127.0.0.1, or say --insecure if the network is yours"));
     }
   }
   if (options.tile_size < 1 || options.tile_size > kTileSizeMaxPx) {
@@ -118,6 +113,7 @@ class Service::Impl : public EffectSink {
   std::unique_ptr<JobSaver> saver_;
   std::unique_ptr<WorkerSessions> sessions_;
   std::unique_ptr<WatchHub> watchers_;
+  Access access_;
   std::unique_ptr<CoordinatorHost> host_;
   std::unique_ptr<PictureService> pictures_;
   std::unique_ptr<JobService> job_service_;
@@ -237,16 +233,20 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   job_service_ =
       std::make_unique<JobService>(*host_, *assets_, *watchers_, config_.defaults,
                                    JobKeeper{[this](JobId job) { return saver_->SaveNow(job); },
-                                             [this](JobId job) { return saver_->RemoveNow(job); }});
-  asset_service_ = std::make_unique<AssetService>(*assets_);
+                                             [this](JobId job) { return saver_->RemoveNow(job); }},
+                                   access_);
+  asset_service_ = std::make_unique<AssetService>(*assets_, access_);
   image_service_ = std::make_unique<ImageService>(
-      *host_, *pictures_, [this](JobId job) { return FilmOf(job); });
-  worker_service_ = std::make_unique<WorkerService>(*host_, *sessions_);
+      *host_, *pictures_, [this](JobId job) { return FilmOf(job); }, access_);
+  worker_service_ = std::make_unique<WorkerService>(*host_, *sessions_, access_);
   saver_->Start(host_.get());
 }
 
 absl::Status Service::Impl::Listen(const ServiceOptions& options) {
+  const auto credentials = MakeServerCredentials(options.tls);
+  if (!credentials.ok()) return credentials.status();
   grpc::EnableDefaultHealthCheckService(true);
+  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   grpc::ServerBuilder builder;
   builder.SetMaxReceiveMessageSize(kMessageBytesMax);
   builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
@@ -257,7 +257,7 @@ absl::Status Service::Impl::Listen(const ServiceOptions& options) {
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, kKeepaliveMs);
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, kKeepaliveTimeoutMs);
   if (!options.listen.empty()) {
-    builder.AddListeningPort(options.listen, grpc::InsecureServerCredentials(), &port_);
+    builder.AddListeningPort(options.listen, *credentials, &port_);
   }
   builder.RegisterService(job_service_.get());
   builder.RegisterService(asset_service_.get());
@@ -271,7 +271,7 @@ absl::Status Service::Impl::Listen(const ServiceOptions& options) {
   }
   if (options.http_listen.empty() || options.http_listen == kHttpOff) return absl::OkStatus();
   absl::StatusOr<std::unique_ptr<HttpServer>> http =
-      HttpServer::Start(options.http_listen, *host_, *pictures_);
+      HttpServer::Start(options.http_listen, options.tls, *host_, *pictures_, access_);
   if (!http.ok()) return http.status();
   http_ = *std::move(http);
   return absl::OkStatus();
@@ -279,6 +279,9 @@ absl::Status Service::Impl::Listen(const ServiceOptions& options) {
 
 absl::Status Service::Impl::Start(const ServiceOptions& options) {
   if (absl::Status status = CheckOptions(options); !status.ok()) return status;
+  absl::StatusOr<Access> access = Access::Open(options.token_file, !options.tls.client_ca.empty());
+  if (!access.ok()) return access.status();
+  access_ = *std::move(access);
   if (absl::Status status = OpenStore(options); !status.ok()) return status;
   MakeServices(options);
   if (catalogue_ != nullptr) {

@@ -10,6 +10,7 @@
 #include <grpcpp/channel.h>
 
 #include "absl/status/statusor.h"
+#include "server/security/tls.h"
 
 namespace tessera {
 
@@ -22,6 +23,8 @@ struct ServiceOptions {
   int tile_size = 32;              // default of jobs that name none
   std::chrono::milliseconds lease_ttl{10000};
   bool insecure = false;           // plaintext on other than loopback addresses
+  TlsFiles tls{};                  // of the gRPC and the HTTP port
+  std::string token_file{};        // empty = no tokens are asked for; see Access::Open
 };
 
 // Threads: all methods from any thread.

@@ -35,12 +35,20 @@ std::string DenoiserHelp() {
 void AddConnectFlags(CLI::App* command, ConnectFlags* flags) {
   const std::string group = "Server";
   command->add_option("--server", flags->server, "HOST:PORT of a tessera-server")->group(group);
-  command->add_option("--token-file", flags->token_file, "File with the bearer token")
+  SecurityFlags& security = flags->security;
+  command->add_option("--token-file", security.token_file, "File with the bearer token")
+      ->envname("TESSERA_TOKEN_FILE")
       ->group(group);
-  command->add_option("--ca", flags->ca, "Certificates to trust (PEM): speaks TLS")->group(group);
-  command->add_option("--cert", flags->cert, "This client's certificate (PEM)")->group(group);
-  command->add_option("--key", flags->key, "Its key (PEM)")->group(group);
-  command->add_flag("--insecure", flags->insecure, "Allow plaintext beyond this machine")
+  command->add_option("--ca", security.ca, "Certificates to trust (PEM): speaks TLS")
+      ->envname("TESSERA_CA")
+      ->group(group);
+  command->add_option("--cert", security.cert, "This client's certificate (PEM)")
+      ->envname("TESSERA_CERT")
+      ->group(group);
+  command->add_option("--key", security.key, "Its key (PEM)")
+      ->envname("TESSERA_KEY")
+      ->group(group);
+  command->add_flag("--insecure", security.insecure, "Allow plaintext beyond this machine")
       ->group(group);
 }
 

@@ -18,11 +18,8 @@ struct Connection {
 
 // Opens no socket yet: the first call does. Plaintext goes to loopback addresses only, unless
 // --insecure; --ca, --cert and --key ask for TLS.
-// Errors: INVALID_ARGUMENT naming the flag (a missing port, an unreadable file, a combination that
-// would send a token in the clear).
+// Errors: INVALID_ARGUMENT naming the flag (a missing port, an unreadable
+// file, flags that contradict each other).
 absl::StatusOr<Connection> Connect(const ConnectFlags& flags);
-
-// Whether "host:port" is on this machine.
-bool IsLoopback(const std::string& address);
 
 }  // namespace tessera

@@ -5,15 +5,13 @@
 #include <string>
 #include <vector>
 
+#include "proto/channel/channel_security.h"
+
 namespace tessera {
 
 struct ConnectFlags {
   std::string server{};
-  std::string token_file{};
-  std::string ca{};
-  std::string cert{};
-  std::string key{};
-  bool insecure = false;
+  SecurityFlags security{};
 };
 
 struct OutputFlags {

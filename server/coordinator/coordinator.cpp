@@ -109,6 +109,16 @@ std::vector<Coordinator::LeaseView> Coordinator::ListLeases() const {
   return leases;
 }
 
+CoordinatorTotals Coordinator::Totals() const {
+  CoordinatorTotals totals = totals_;
+  for (const auto& [id, job] : jobs_) ++totals.jobs[job->record.state()];
+  totals.workers = std::ssize(workers_);
+  for (const auto& [session, worker] : workers_) totals.worker_threads += worker->hello.threads();
+  totals.leases = std::ssize(leases_);
+  totals.film_bytes = film_bytes_;
+  return totals;
+}
+
 std::shared_ptr<const Film> Coordinator::FilmOf(JobId id) const {
   const auto it = jobs_.find(id);
   if (it == jobs_.end() || (it->second->film_final_stored && it->second->IsTerminal())) {

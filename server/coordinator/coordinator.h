@@ -24,6 +24,7 @@
 #include "server/coordinator/event.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/tile_queue.h"
+#include "server/coordinator/totals.h"
 
 namespace tessera {
 
@@ -54,6 +55,7 @@ class Coordinator {
   // one if there is any.
   std::vector<v1::Job> ListJobs(JobId after, size_t limit, size_t bytes_max = SIZE_MAX) const;
   std::vector<v1::Worker> ListWorkers(Instant now) const;
+  CoordinatorTotals Totals() const;
 
   struct LeaseView {
     LeaseId id = 0;
@@ -167,6 +169,7 @@ class Coordinator {
   Instant now_;
   StepResult result_;  // of the step under way
 
+  CoordinatorTotals totals_;  // what has happened; Totals adds what is now
   uint64_t revision_ = 0;
   JobId next_job_;
   LeaseId next_lease_ = 1;

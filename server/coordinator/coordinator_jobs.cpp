@@ -103,6 +103,7 @@ void Coordinator::On(CreateJobEvent& event) {
   job->request_id = event.request_id;
   job->record.set_name(JobName(job->id));
   job->record.set_version(config_.version);
+  job->record.set_owner(event.owner);
   *job->record.mutable_settings() = *std::move(settings);
   SetTime(now_.unix_ms, job->record.mutable_create_time());
   const v1::JobSettings& s = job->record.settings();

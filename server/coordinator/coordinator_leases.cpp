@@ -236,6 +236,7 @@ bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
 
 void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
   const LeaseId id = next_lease_++;
+  ++totals_.leases_granted;
   const PixelRect window = job.grid.WindowOf(unit.tile);
   leases_[id] = {worker.session, job.id, unit, now_.monotonic_ms,
                  now_.monotonic_ms + config_.lease_ttl_ms};
@@ -332,6 +333,7 @@ void Coordinator::StopWork(Job& job) {
 void Coordinator::ExpireLeases() {
   while (!expiries_.empty() && expiries_.begin()->first <= now_.monotonic_ms) {
     DropLease(expiries_.begin()->second, true);
+    ++totals_.leases_expired;
     waiting_changed_ = true;
   }
 }

@@ -76,8 +76,13 @@ void Coordinator::On(DeltaEvent& event) {
   const auto lease = leases_.find(event.delta.lease_id());
   const bool was_leased = lease != leases_.end() && lease->second.session == event.session;
   if (was_leased) DropLease(event.delta.lease_id(), false);
-  if (!result_.status.ok()) return;
-  worker->samples += event.tile.range().size() * event.tile.num_pixels();
+  if (!result_.status.ok()) {
+    ++totals_.deltas_refused;
+    return;
+  }
+  const int64_t samples = event.tile.range().size() * event.tile.num_pixels();
+  worker->samples += samples;
+  totals_.samples += samples;
   Merge(*job, event);
 }
 
@@ -96,6 +101,10 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
   if (job.costs.empty()) job.costs.resize(static_cast<size_t>(job.grid.num_tiles()));
   job.costs[static_cast<size_t>(unit.tile)] += cost;
   AddCost(cost, job.record.mutable_progress());
+  ++totals_.deltas_merged;
+  totals_.rays += cost.rays;
+  totals_.delta_bytes += cost.delta_bytes;
+  totals_.render_core_seconds += 1e-9 * static_cast<double>(cost.render_ns);
   UpdateProgress(job);
   Touch(job);
   if (job.film->CommittedEnd(unit.tile) != committed_before) {
@@ -191,6 +200,12 @@ void Coordinator::On(PictureEvent& event) {
   Job* const job = FindJob(event.job);
   if (job == nullptr) return;
   v1::JobProgress& progress = *job->record.mutable_progress();
+  if (!job->has_picture && job->work_ms > 0) {
+    ++totals_.first_pictures;
+    totals_.first_picture_seconds += 1e-3 * static_cast<double>(now_.monotonic_ms - job->work_ms);
+  }
+  job->has_picture = true;
+  totals_.filter_core_seconds += event.filter_core_seconds;
   progress.set_estimated_error(event.estimated_error);
   progress.set_filter_core_seconds(progress.filter_core_seconds() + event.filter_core_seconds);
   Touch(*job);

@@ -57,6 +57,7 @@ struct Coordinator::Job {
   int64_t replay_samples = 0;  // of all pixels, that a replay asks for; 0 = it is none
   int64_t start_spp = 0;       // committed when this incarnation began
   v1::StopReason stop_reason = v1::STOP_REASON_SPP;  // once the queue is done
+  bool has_picture = false;  // one has been made in this incarnation
   bool evaluating = false;                           // EvaluatePictureEffect is under way
   int64_t saved_film_ms = 0;
   bool film_changed = false;  // since it was saved

@@ -30,6 +30,7 @@ struct Instant {
 struct CreateJobEvent {
   v1::JobSettings settings;
   std::string request_id{};
+  std::string owner{};           // whose token created it; empty where no tokens are asked for
   std::shared_ptr<Film> film{};  // samples to start from; null = none. The job becomes its owner.
 };
 // kUndoCreate: as if the job had never been asked for; its request_id is free again.

@@ -14,6 +14,7 @@
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
 #include "server/http/index_page.h"
+#include "server/http/metrics.h"
 
 namespace tessera {
 namespace {
@@ -26,6 +27,8 @@ int HttpCode(const absl::Status& status) {
   switch (status.code()) {
     case absl::StatusCode::kNotFound: return 404;
     case absl::StatusCode::kInvalidArgument: return 400;
+    case absl::StatusCode::kUnauthenticated: return 401;
+    case absl::StatusCode::kPermissionDenied: return 403;
     case absl::StatusCode::kUnavailable: return 503;
     default: return 500;
   }
@@ -120,11 +123,17 @@ Image ForDisplay(const PictureLayer& layer, Image image) {
 
 class HttpServer::Impl {
  public:
-  Impl(CoordinatorHost& host, PictureService& pictures) : host_(host), pictures_(pictures) {}
+  Impl(const TlsFiles& tls, CoordinatorHost& host, PictureService& pictures, const Access& access)
+      : host_(host),
+        pictures_(pictures),
+        access_(access),
+        server_(tls.enabled()
+                    ? std::make_unique<httplib::SSLServer>(tls.cert.c_str(), tls.key.c_str())
+                    : std::make_unique<httplib::Server>()) {}
 
   absl::Status Start(const std::string& address);
   void Stop() {
-    server_.stop();
+    server_->stop();
     if (thread_.joinable()) thread_.join();
   }
   int port_ = 0;
@@ -136,7 +145,8 @@ class HttpServer::Impl {
 
   CoordinatorHost& host_;
   PictureService& pictures_;
-  httplib::Server server_;
+  const Access& access_;
+  const std::unique_ptr<httplib::Server> server_;
   std::thread thread_;
 };
 
@@ -150,22 +160,22 @@ absl::Status HttpServer::Impl::Start(const std::string& address) {
   }
   std::string name = address.substr(0, colon);
   if (name.size() > 2 && name.front() == '[') name = name.substr(1, name.size() - 2);
-  server_.new_task_queue = [] { return new httplib::ThreadPool(kThreads); };
-  server_.set_payload_max_length(kRequestBytesMax);
+  server_->new_task_queue = [] { return new httplib::ThreadPool(kThreads); };
+  server_->set_payload_max_length(kRequestBytesMax);
   // Not SO_REUSEPORT, httplib's default: a second server would share the port unseen.
-  server_.set_socket_options([](socket_t socket) {
+  server_->set_socket_options([](socket_t socket) {
     const int yes = 1;
     setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
   });
   AddRoutes();
-  port_ = port == 0 ? server_.bind_to_any_port(name.c_str())
-                    : (server_.bind_to_port(name.c_str(), port) ? port : -1);
+  port_ = port == 0 ? server_->bind_to_any_port(name.c_str())
+                    : (server_->bind_to_port(name.c_str(), port) ? port : -1);
   if (port_ <= 0) {
     return absl::UnavailableError(absl::StrCat(
         "cannot listen on --http ", address, ": the address is in use or not this machine's; "
         "choose another, such as 127.0.0.1:0 for any free port, or --http off"));
   }
-  thread_ = std::thread([this] { server_.listen_after_bind(); });
+  thread_ = std::thread([this] { server_->listen_after_bind(); });
   return absl::OkStatus();
 }
 
@@ -206,13 +216,29 @@ absl::Status HttpServer::Impl::SendPicture(const httplib::Request& request,
 }
 
 void HttpServer::Impl::AddRoutes() {
-  server_.Get("/healthz", [](const httplib::Request&, httplib::Response& response) {
+  using Handled = httplib::Server::HandlerResponse;
+  server_->set_pre_routing_handler([this](const httplib::Request& request,
+                                          httplib::Response& response) {
+    if (request.path == "/healthz") return Handled::Unhandled;
+    const absl::Status status =
+        access_.CheckHeader(request.get_header_value("Authorization"), Role::kView).status();
+    if (status.ok()) return Handled::Unhandled;
+    if (absl::IsUnauthenticated(status)) {
+      response.set_header("WWW-Authenticate", "Basic realm=\"tessera: any name, and a token\"");
+    }
+    Refuse(status, response);
+    return Handled::Handled;
+  });
+  server_->Get("/healthz", [](const httplib::Request&, httplib::Response& response) {
     response.set_content("ok\n", "text/plain");
   });
-  server_.Get("/", [](const httplib::Request&, httplib::Response& response) {
+  server_->Get("/metrics", [this](const httplib::Request&, httplib::Response& response) {
+    response.set_content(MetricsText(host_), kMetricsContentType);
+  });
+  server_->Get("/", [](const httplib::Request&, httplib::Response& response) {
     response.set_content(kIndexPage, "text/html; charset=utf-8");
   });
-  server_.Get("/jobs", [this](const httplib::Request& request, httplib::Response& response) {
+  server_->Get("/jobs", [this](const httplib::Request& request, httplib::Response& response) {
     JobId after = 0;
     if (request.has_param("after") &&
         !absl::SimpleAtoi(request.get_param_value("after"), &after)) {
@@ -226,13 +252,13 @@ void HttpServer::Impl::AddRoutes() {
     }
     response.set_content(Json(list), "application/json");
   });
-  server_.Get(R"(/jobs/(\d+))", [this](const httplib::Request& request,
+  server_->Get(R"(/jobs/(\d+))", [this](const httplib::Request& request,
                                        httplib::Response& response) {
     const absl::StatusOr<v1::Job> job = GetJob(request);
     if (!job.ok()) return Refuse(job.status(), response);
     response.set_content(Json(*job), "application/json");
   });
-  server_.Get(R"(/jobs/(\d+)/image\.png)", [this](const httplib::Request& request,
+  server_->Get(R"(/jobs/(\d+)/image\.png)", [this](const httplib::Request& request,
                                                   httplib::Response& response) {
     const absl::Status status = SendPicture(request, response);
     if (!status.ok()) Refuse(status, response);
@@ -243,9 +269,11 @@ HttpServer::HttpServer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 HttpServer::~HttpServer() { Stop(); }
 
 absl::StatusOr<std::unique_ptr<HttpServer>> HttpServer::Start(const std::string& address,
+                                                              const TlsFiles& tls,
                                                               CoordinatorHost& host,
-                                                              PictureService& pictures) {
-  auto impl = std::make_unique<Impl>(host, pictures);
+                                                              PictureService& pictures,
+                                                              const Access& access) {
+  auto impl = std::make_unique<Impl>(tls, host, pictures, access);
   if (absl::Status status = impl->Start(address); !status.ok()) return status;
   return std::unique_ptr<HttpServer>(new HttpServer(std::move(impl)));
 }

@@ -2,6 +2,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/limits.h"
+#include "server/rpc/refused_stream.h"
 #include "server/rpc/rpc_status.h"
 
 namespace tessera {
@@ -88,6 +89,10 @@ grpc::ServerUnaryReactor* AssetService::FindMissingAssets(
     grpc::CallbackServerContext* context, const v1::FindMissingAssetsRequest* request,
     v1::FindMissingAssetsResponse* response) {
   grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
+  if (const absl::Status status = access_.Check(*context, Role::kSubmit).status(); !status.ok()) {
+    reactor->Finish(ToGrpc(status));
+    return reactor;
+  }
   if (request->assets_size() > kAssetsMax) {
     reactor->Finish(ToGrpc(absl::InvalidArgumentError(
         absl::StrCat("assets: ask for at most ", kAssetsMax, " at once"))));
@@ -111,12 +116,18 @@ grpc::ServerUnaryReactor* AssetService::FindMissingAssets(
 }
 
 grpc::ServerReadReactor<v1::WriteAssetRequest>* AssetService::WriteAsset(
-    grpc::CallbackServerContext*, v1::WriteAssetResponse* response) {
+    grpc::CallbackServerContext* context, v1::WriteAssetResponse* response) {
+  if (const absl::Status status = access_.Check(*context, Role::kSubmit).status(); !status.ok()) {
+    return new RefusedStream<grpc::ServerReadReactor<v1::WriteAssetRequest>>(status);
+  }
   return new WriteReactor(&store_, response);
 }
 
 grpc::ServerWriteReactor<v1::ReadAssetResponse>* AssetService::ReadAsset(
-    grpc::CallbackServerContext*, const v1::ReadAssetRequest* request) {
+    grpc::CallbackServerContext* context, const v1::ReadAssetRequest* request) {
+  if (const absl::Status status = access_.Check(*context, Role::kWorker).status(); !status.ok()) {
+    return new RefusedStream<grpc::ServerWriteReactor<v1::ReadAssetResponse>>(status);
+  }
   return new ReadReactor(&store_, *request);
 }
 

@@ -1,6 +1,7 @@
 // tessera.v1.AssetService over an asset store.
 #pragma once
 
+#include "server/security/access.h"
 #include "server/store/asset_store.h"
 #include "tessera/v1/asset.grpc.pb.h"
 
@@ -8,7 +9,8 @@ namespace tessera {
 
 class AssetService final : public v1::AssetService::CallbackService {
  public:
-  explicit AssetService(AssetStore& store) : store_(store) {}
+  // Both must outlive the service.
+  AssetService(AssetStore& store, const Access& access) : store_(store), access_(access) {}
 
   grpc::ServerUnaryReactor* FindMissingAssets(grpc::CallbackServerContext* context,
                                               const v1::FindMissingAssetsRequest* request,
@@ -20,6 +22,7 @@ class AssetService final : public v1::AssetService::CallbackService {
 
  private:
   AssetStore& store_;
+  const Access& access_;
 };
 
 }  // namespace tessera

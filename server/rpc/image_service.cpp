@@ -8,6 +8,7 @@
 #include "core/image/layers.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
+#include "server/rpc/refused_stream.h"
 #include "server/rpc/rpc_status.h"
 
 namespace tessera {
@@ -178,14 +179,20 @@ class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
 }  // namespace
 
 grpc::ServerWriteReactor<v1::GetImageResponse>* ImageService::GetImage(
-    grpc::CallbackServerContext*, const v1::GetImageRequest* request) {
+    grpc::CallbackServerContext* context, const v1::GetImageRequest* request) {
+  if (const absl::Status status = access_.Check(*context, Role::kView).status(); !status.ok()) {
+    return new RefusedStream<grpc::ServerWriteReactor<v1::GetImageResponse>>(status);
+  }
   auto* const reactor = new ImageReactor(*request, &image_budget_);
   reactor->Start(host_, pictures_);
   return reactor;
 }
 
 grpc::ServerWriteReactor<v1::GetFilmResponse>* ImageService::GetFilm(
-    grpc::CallbackServerContext*, const v1::GetFilmRequest* request) {
+    grpc::CallbackServerContext* context, const v1::GetFilmRequest* request) {
+  if (const absl::Status status = access_.Check(*context, Role::kView).status(); !status.ok()) {
+    return new RefusedStream<grpc::ServerWriteReactor<v1::GetFilmResponse>>(status);
+  }
   auto* const reactor = new FilmReactor(&host_, &film_budget_);
   reactor->Start(film_of_, request->job());
   return reactor;

@@ -5,6 +5,7 @@
 #include "server/coordinator_host.h"
 #include "server/picture/picture_service.h"
 #include "server/rpc/stream_budget.h"
+#include "server/security/access.h"
 #include "tessera/v1/image.grpc.pb.h"
 
 namespace tessera {
@@ -14,8 +15,9 @@ class ImageService final : public v1::ImageService::CallbackService {
   // The film of a job, from memory or disk. Errors: NOT_FOUND, DATA_LOSS.
   using FilmSource = std::function<absl::StatusOr<std::shared_ptr<const Film>>(JobId)>;
   // References must outlive the service.
-  ImageService(CoordinatorHost& host, PictureService& pictures, FilmSource film_of)
-      : host_(host), pictures_(pictures), film_of_(std::move(film_of)) {}
+  ImageService(CoordinatorHost& host, PictureService& pictures, FilmSource film_of,
+               const Access& access)
+      : host_(host), pictures_(pictures), film_of_(std::move(film_of)), access_(access) {}
 
   grpc::ServerWriteReactor<v1::GetImageResponse>* GetImage(
       grpc::CallbackServerContext* context, const v1::GetImageRequest* request) override;
@@ -26,6 +28,7 @@ class ImageService final : public v1::ImageService::CallbackService {
   CoordinatorHost& host_;
   PictureService& pictures_;
   const FilmSource film_of_;
+  const Access& access_;
   StreamBudget image_budget_{"pictures", kImageStreamsMax, kImageStreamBytesMax};
   StreamBudget film_budget_{"films", kFilmStreamsMax, kFilmStreamBytesMax};
 };

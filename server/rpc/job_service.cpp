@@ -4,6 +4,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/limits.h"
+#include "server/rpc/refused_stream.h"
 #include "server/rpc/rpc_status.h"
 
 namespace tessera {
@@ -17,35 +18,49 @@ grpc::ServerUnaryReactor* Reply(grpc::CallbackServerContext* context, const absl
   return reactor;
 }
 
-// A stream that ends at once.
-class RefusedWatch : public grpc::ServerWriteReactor<v1::Job> {
- public:
-  explicit RefusedWatch(const absl::Status& status) { Finish(ToGrpc(status)); }
-  void OnDone() override { delete this; }
-};
-
 }  // namespace
 
 JobService::JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watchers,
-                       SettingsDefaults defaults, JobKeeper keeper)
+                       SettingsDefaults defaults, JobKeeper keeper, const Access& access)
     : host_(host),
       watchers_(watchers),
-      requests_(host, assets, std::move(defaults), std::move(keeper)) {}
+      requests_(host, assets, std::move(defaults), std::move(keeper)),
+      access_(access) {}
+
+absl::Status JobService::Command(const grpc::CallbackServerContext& context, JobCommand command,
+                                 const std::string& name, const std::string& request_id,
+                                 v1::Job* response) {
+  const absl::StatusOr<Caller> caller = access_.Check(context, Role::kSubmit);
+  if (!caller.ok()) return caller.status();
+  v1::Job job;
+  // A job that is gone already: the coordinator knows whether this call repeats the one it ended.
+  if (requests_.Get(name, &job).ok() && !caller->MaySteer(job.owner())) {
+    return absl::PermissionDeniedError(
+        absl::StrCat(name, " belongs to '", job.owner(), "': its owner or an admin may steer it"));
+  }
+  return requests_.Command(command, name, request_id, response);
+}
 
 grpc::ServerUnaryReactor* JobService::CreateJob(grpc::CallbackServerContext* context,
                                                 const v1::CreateJobRequest* request,
                                                 v1::Job* response) {
-  return Reply(context, requests_.Create(*request, response));
+  const absl::StatusOr<Caller> caller = access_.Check(*context, Role::kSubmit);
+  return Reply(context, caller.ok() ? requests_.Create(*request, caller->name, response)
+                                    : caller.status());
 }
 
 grpc::ServerUnaryReactor* JobService::GetJob(grpc::CallbackServerContext* context,
                                              const v1::GetJobRequest* request, v1::Job* response) {
-  return Reply(context, requests_.Get(request->name(), response));
+  const absl::Status status = access_.Check(*context, Role::kView).status();
+  return Reply(context, status.ok() ? requests_.Get(request->name(), response) : status);
 }
 
 grpc::ServerUnaryReactor* JobService::ListJobs(grpc::CallbackServerContext* context,
                                                const v1::ListJobsRequest* request,
                                                v1::ListJobsResponse* response) {
+  if (const absl::Status status = access_.Check(*context, Role::kView).status(); !status.ok()) {
+    return Reply(context, status);
+  }
   JobId after = 0;
   const std::string& token = request->page_token();
   const char* const token_end = token.data() + token.size();
@@ -73,44 +88,41 @@ grpc::ServerUnaryReactor* JobService::ListJobs(grpc::CallbackServerContext* cont
   return Reply(context, absl::OkStatus());
 }
 
-grpc::ServerWriteReactor<v1::Job>* JobService::WatchJob(grpc::CallbackServerContext*,
+grpc::ServerWriteReactor<v1::Job>* JobService::WatchJob(grpc::CallbackServerContext* context,
                                                         const v1::WatchJobRequest* request) {
   v1::Job job;
-  const absl::Status status = requests_.Get(request->name(), &job);
-  if (!status.ok()) return new RefusedWatch(status);
+  absl::Status status = access_.Check(*context, Role::kView).status();
+  if (status.ok()) status = requests_.Get(request->name(), &job);
+  if (!status.ok()) return new RefusedStream<grpc::ServerWriteReactor<v1::Job>>(status);
   return watchers_.Watch(*ParseJobName(request->name()), *request);
 }
 
 grpc::ServerUnaryReactor* JobService::PauseJob(grpc::CallbackServerContext* context,
                                                const v1::PauseJobRequest* request,
                                                v1::Job* response) {
-  return Reply(context,
-               requests_.Command(JobCommand::kPause, request->name(), request->request_id(),
-                                 response));
+  return Reply(context, Command(*context, JobCommand::kPause, request->name(),
+                                request->request_id(), response));
 }
 
 grpc::ServerUnaryReactor* JobService::ResumeJob(grpc::CallbackServerContext* context,
                                                 const v1::ResumeJobRequest* request,
                                                 v1::Job* response) {
-  return Reply(context,
-               requests_.Command(JobCommand::kResume, request->name(), request->request_id(),
-                                 response));
+  return Reply(context, Command(*context, JobCommand::kResume, request->name(),
+                                request->request_id(), response));
 }
 
 grpc::ServerUnaryReactor* JobService::CancelJob(grpc::CallbackServerContext* context,
                                                 const v1::CancelJobRequest* request,
                                                 v1::Job* response) {
-  return Reply(context,
-               requests_.Command(JobCommand::kCancel, request->name(), request->request_id(),
-                                 response));
+  return Reply(context, Command(*context, JobCommand::kCancel, request->name(),
+                                request->request_id(), response));
 }
 
 grpc::ServerUnaryReactor* JobService::DeleteJob(grpc::CallbackServerContext* context,
                                                 const v1::DeleteJobRequest* request,
                                                 v1::DeleteJobResponse*) {
-  return Reply(context,
-               requests_.Command(JobCommand::kDelete, request->name(), request->request_id(),
-                                 nullptr));
+  return Reply(context, Command(*context, JobCommand::kDelete, request->name(),
+                                request->request_id(), nullptr));
 }
 
 }  // namespace tessera

@@ -4,6 +4,7 @@
 #include "server/coordinator_host.h"
 #include "server/job_requests.h"
 #include "server/rpc/watch_hub.h"
+#include "server/security/access.h"
 #include "tessera/v1/job.grpc.pb.h"
 
 namespace tessera {
@@ -12,7 +13,7 @@ class JobService final : public v1::JobService::CallbackService {
  public:
   // All references must outlive the service.
   JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watchers,
-             SettingsDefaults defaults, JobKeeper keeper);
+             SettingsDefaults defaults, JobKeeper keeper, const Access& access);
 
   grpc::ServerUnaryReactor* CreateJob(grpc::CallbackServerContext* context,
                                       const v1::CreateJobRequest* request,
@@ -38,9 +39,14 @@ class JobService final : public v1::JobService::CallbackService {
                                       v1::DeleteJobResponse* response) override;
 
  private:
+  // Pause, resume, cancel or delete, by whoever calls.
+  absl::Status Command(const grpc::CallbackServerContext& context, JobCommand command,
+                       const std::string& name, const std::string& request_id, v1::Job* response);
+
   CoordinatorHost& host_;
   WatchHub& watchers_;
   JobRequests requests_;
+  const Access& access_;
 };
 
 }  // namespace tessera

@@ -2,29 +2,38 @@
 #pragma once
 
 #include "server/coordinator_host.h"
+#include "server/rpc/refused_stream.h"
 #include "server/rpc/worker_sessions.h"
+#include "server/security/access.h"
 #include "tessera/v1/worker.grpc.pb.h"
 
 namespace tessera {
 
 class WorkerService final : public v1::WorkerService::CallbackService {
  public:
-  // Both must outlive the service.
-  WorkerService(CoordinatorHost& host, WorkerSessions& sessions)
-      : host_(host), sessions_(sessions) {}
+  // All must outlive the service.
+  WorkerService(CoordinatorHost& host, WorkerSessions& sessions, const Access& access)
+      : host_(host), sessions_(sessions), access_(access) {}
 
   grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Work(
       grpc::CallbackServerContext* context) override {
-    return sessions_.Accept(context);
+    const absl::Status status = access_.Check(*context, Role::kWorker).status();
+    if (status.ok()) return sessions_.Accept(context);
+    using Stream = grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>;
+    return new RefusedStream<Stream>(status);
   }
   grpc::ServerUnaryReactor* ListWorkers(grpc::CallbackServerContext* context,
                                         const v1::ListWorkersRequest*,
                                         v1::ListWorkersResponse* response) override {
+    grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
+    if (const absl::Status status = access_.Check(*context, Role::kView).status(); !status.ok()) {
+      reactor->Finish(ToGrpc(status));
+      return reactor;
+    }
     for (v1::Worker& worker :
          host_.Read([](const Coordinator& c) { return c.ListWorkers(Now()); })) {
       *response->add_workers() = std::move(worker);
     }
-    grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
     reactor->Finish(grpc::Status::OK);
     return reactor;
   }
@@ -32,6 +41,7 @@ class WorkerService final : public v1::WorkerService::CallbackService {
  private:
   CoordinatorHost& host_;
   WorkerSessions& sessions_;
+  const Access& access_;
 };
 
 }  // namespace tessera

@@ -13,6 +13,7 @@
 #include "core/base/tile_grid.h"
 #include "core/film/film.h"
 #include "tests/integration/farm.h"
+#include "worker/session/worker_channel.h"
 #include "worker/session/job_conversion.h"
 
 namespace tessera {

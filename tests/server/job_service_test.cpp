@@ -48,9 +48,11 @@ class JobServiceTest : public testing::Test {
   absl::Status Keep() const {
     return disk_is_full_ ? absl::InternalError("the disk is full") : absl::OkStatus();
   }
+  const Access access_;
   JobService service_{
       host_, *assets_, watchers_, SmallConfig().defaults,
-      {.save = [this](JobId) { return Keep(); }, .remove = [this](JobId) { return Keep(); }}};
+      {.save = [this](JobId) { return Keep(); }, .remove = [this](JobId) { return Keep(); }},
+      access_};
   v1::JobSettings settings_ = SmallSettings();
   std::unique_ptr<grpc::Server> server_;
   std::unique_ptr<v1::JobService::Stub> stub_;

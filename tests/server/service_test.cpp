@@ -3,6 +3,7 @@
 #include <cstring>
 #include <filesystem>
 
+#include <gmock/gmock.h>
 #include <httplib.h>
 
 #include "core/film/frame_planes.h"
@@ -11,6 +12,8 @@
 namespace tessera {
 namespace {
 
+using ::testing::AllOf;
+using ::testing::HasSubstr;
 using ServiceTest = ServiceFixture;
 
 std::string ExpectedDigest(const v1::JobSettings& s, int64_t spp) {
@@ -193,6 +196,28 @@ TEST_F(ServiceTest, PicturesOverHttpHaveETags) {
   EXPECT_EQ(client.Get("/jobs/2/image.png")->status, 404);
   EXPECT_EQ(client.Get("/jobs/1/image.png?layer=magic")->status, 400);
   EXPECT_EQ(client.Get("/jobs/1/image.png?region=0,0,9999,1")->status, 400);
+}
+
+TEST_F(ServiceTest, MetricsCountWhatHappened) {
+  StartService();
+  const v1::JobSettings settings = UploadedSettings(4);
+  v1::Job job;
+  ASSERT_TRUE(Create(settings, &job).ok());
+  httplib::Client client("127.0.0.1", service->http_port());
+  EXPECT_THAT(client.Get("/metrics")->body,
+              AllOf(HasSubstr("\ntessera_jobs{state=\"queued\"} 1\n"),
+                    HasSubstr("\ntessera_workers 0\n"), HasSubstr("\ntessera_samples_total 0\n")));
+  SyntheticWorker worker(channel);
+  v1::Job last;
+  Watch(job.name(), &last);
+  const int64_t samples = int64_t{settings.width()} * settings.height() * 4;
+  const std::string text = client.Get("/metrics")->body;
+  EXPECT_THAT(text, AllOf(HasSubstr("\ntessera_jobs{state=\"done\"} 1\n"),
+                          HasSubstr("\ntessera_jobs{state=\"queued\"} 0\n"),
+                          HasSubstr("\ntessera_workers 1\n"), HasSubstr("\ntessera_leases 0\n")));
+  EXPECT_THAT(text, HasSubstr(absl::StrCat("\ntessera_samples_total ", samples, "\n")));
+  EXPECT_THAT(text, HasSubstr("host=\"synthetic\"} " + std::to_string(samples)));
+  EXPECT_THAT(text, HasSubstr("# TYPE tessera_first_picture_seconds summary"));
 }
 
 TEST_F(ServiceTest, JobsSurviveARestart) {

@@ -38,7 +38,7 @@ void SimClient::Start() {
           v1::CreateJobRequest request;
           *request.mutable_settings() = plan_.settings;
           request.set_request_id(request_id);
-          return server_.requests().Create(request, job.get());
+          return server_.requests().Create(request, "", job.get());
         },
         "create",
         [this, job](const absl::Status& status) {

@@ -13,9 +13,11 @@
 #include <string>
 #include <thread>
 
+#include "core/base/environment_name.h"
 #include "core/base/version.h"
-#include "worker/session/address.h"
+#include "proto/channel/channel_security.h"
 #include "worker/session/host_resources.h"
+#include "worker/session/worker_channel.h"
 #include "worker/session/worker_session.h"
 
 namespace tessera {
@@ -23,7 +25,8 @@ namespace {
 
 struct Flags {
   std::string server;
-  bool insecure = false;
+  SecurityFlags security_flags;
+  ChannelSecurity security;  // what security_flags name
   bool verbose = false;
   WorkerOptions worker;
 };
@@ -35,7 +38,9 @@ int ParseFlags(int argc, char** argv, Flags* flags, bool* run) {
   app.set_version_flag("--version", kVersion);
   std::string memory;
   std::string cache;
-  app.add_option("--server", flags->server, "HOST:PORT of the coordinator")->required();
+  app.set_config("--config", "", "A file with these options, NAME=VALUE a line");
+  app.add_option("--server", flags->server, "HOST:PORT of the coordinator")
+      ->required();
   app.add_option("--threads", flags->worker.threads, "render threads; 0 = all")
       ->check(CLI::Range(0, 1024));
   app.add_option("--memory", memory, "for scenes, e.g. 8G; default: half of the machine's");
@@ -44,8 +49,14 @@ int ParseFlags(int argc, char** argv, Flags* flags, bool* run) {
   app.add_option("--connect-attempts", flags->worker.connect_attempts_max,
                  "give up after so many failures in a row; 0 = never")
       ->check(CLI::Range(0, 1 << 30));
-  app.add_flag("--insecure", flags->insecure, "plain text to other machines: trust the network");
+  SecurityFlags& security = flags->security_flags;
+  app.add_option("--ca", security.ca, "certificates to trust (PEM): speaks TLS");
+  app.add_option("--cert", security.cert, "this worker's certificate (PEM), for mutual TLS");
+  app.add_option("--key", security.key, "its key (PEM)");
+  app.add_option("--token-file", security.token_file, "file with a token of the role worker");
+  app.add_flag("--insecure", security.insecure, "plaintext to other machines: trust the network");
   app.add_flag("--verbose", flags->verbose, "log each lease");
+  ReadFlagsFromEnvironment(app);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
@@ -61,10 +72,12 @@ int ParseFlags(int argc, char** argv, Flags* flags, bool* run) {
     }
     *bytes = *parsed;
   }
-  if (const absl::Status status = CheckAddress(flags->server, flags->insecure); !status.ok()) {
-    std::cerr << "error: " << status.message() << "\n";
+  absl::StatusOr<ChannelSecurity> read = ReadChannelSecurity(flags->server, security);
+  if (!read.ok()) {
+    std::cerr << "error: " << read.status().message() << "\n";
     return 2;
   }
+  flags->security = *std::move(read);
   *run = true;
   return 0;
 }
@@ -95,6 +108,11 @@ int ExitCodeOf(const absl::Status& status) {
 }
 
 int Main(int argc, char** argv) {
+  sigset_t signals;
+  sigemptyset(&signals);
+  sigaddset(&signals, SIGTERM);
+  sigaddset(&signals, SIGINT);
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // before any thread exists: credentials start some
   Flags flags;
   bool run = false;
   const int code = ParseFlags(argc, argv, &flags, &run);
@@ -108,13 +126,7 @@ int Main(int argc, char** argv) {
                                            : spdlog::level::warn,
                 "{}", line);
   };
-  sigset_t signals;
-  sigemptyset(&signals);
-  sigaddset(&signals, SIGTERM);
-  sigaddset(&signals, SIGINT);
-  pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // before any thread exists
-
-  WorkerSession session(MakeWorkerChannel(flags.server), flags.worker);
+  WorkerSession session(MakeWorkerChannel(flags.server, flags.security), flags.worker);
   absl::Status status;
   {
     std::jthread signal_thread(

@@ -1,6 +1,5 @@
 #include "worker/session/worker_session.h"
 
-#include <grpcpp/create_channel.h>
 #include <unistd.h>
 
 #include <chrono>
@@ -207,17 +206,5 @@ WorkerSession::~WorkerSession() = default;
 absl::Status WorkerSession::Run() { return impl_->Run(); }
 void WorkerSession::Drain() { impl_->Post(session_event::DrainRequested{}); }
 void WorkerSession::Stop() { impl_->Post(session_event::StopRequested{}); }
-
-std::shared_ptr<grpc::Channel> MakeWorkerChannel(const std::string& address) {
-  grpc::ChannelArguments arguments;
-  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
-  arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 100);
-  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2000);
-  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 10000);
-  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 5000);
-  arguments.SetInt(GRPC_ARG_HTTP2_MAX_PINGS_WITHOUT_DATA, 0);
-  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
-  return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
-}
 
 }  // namespace tessera

@@ -49,8 +49,4 @@ class WorkerSession {
   std::unique_ptr<Impl> impl_;
 };
 
-// A channel to a server at HOST:PORT that notices dead links and lets the session decide when to
-// try again.
-std::shared_ptr<grpc::Channel> MakeWorkerChannel(const std::string& address);
-
 }  // namespace tessera

@@ -86,14 +86,16 @@ class CommandLineCase(unittest.TestCase):
 class Farm:
     """A server and workers on loopback, at ports of the system's choice."""
 
-    def __init__(self, case, num_workers=1):
-        self.server = self._start(case, [SERVER, "--listen", "127.0.0.1:0", "--http", ""])
+    def __init__(self, case, num_workers=1, server_flags=(), worker_flags=()):
+        self.server = self._start(case, [SERVER, "--listen", "127.0.0.1:0", "--http", "",
+                                         *server_flags])
         line = ""
         while "grpc_port=" not in line:
             line = self.server.stderr.readline()
             case.assertNotEqual(line, "", "the server ended")
         self.address = "127.0.0.1:" + re.search(r"grpc_port=(\d+)", line).group(1)
-        self.workers = [self._start(case, [WORKER, "--server", self.address, "--threads", "1"])
+        self.workers = [self._start(case, [WORKER, "--server", self.address, "--threads", "1",
+                                           *worker_flags])
                         for _ in range(num_workers)]
 
     @staticmethod

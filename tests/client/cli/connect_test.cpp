@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "proto/channel/server_address.h"
 #include "tests/client/temporary_folder.h"
 
 namespace tessera {
@@ -30,7 +31,7 @@ TEST(Connect, PlaintextLeavesThisMachineOnlyWithInsecure) {
   EXPECT_FALSE(IsLoopback("128.0.0.1:4242"));
   EXPECT_FALSE(IsLoopback("127.farm.example:4242"));
   EXPECT_THAT(ErrorOf({.server = "farm.example:4242"}), HasSubstr("--insecure"));
-  EXPECT_TRUE(Connect({.server = "farm.example:4242", .insecure = true}).ok());
+  EXPECT_TRUE(Connect({.server = "farm.example:4242", .security = {.insecure = true}}).ok());
 }
 
 TEST(Connect, BadAddressesAndCombinations) {
@@ -48,23 +49,29 @@ TEST(Connect, BadAddressesAndCombinations) {
   }
   EXPECT_THAT(ErrorOf({.server = "https://farm:4242"}), HasSubstr("URL"));
   EXPECT_THAT(ErrorOf({}), HasSubstr("--server"));
-  const ConnectFlags cert_only = {.server = "127.0.0.1:1", .cert = "c.pem"};
+  const ConnectFlags cert_only = {.server = "127.0.0.1:1", .security = {.cert = "c.pem"}};
   EXPECT_THAT(ErrorOf(cert_only), HasSubstr("--cert and --key"));
-  const ConnectFlags both = {.server = "127.0.0.1:1", .ca = "c.pem", .insecure = true};
+  const ConnectFlags both = {.server = "127.0.0.1:1",
+                             .security = {.ca = "c.pem", .insecure = true}};
   EXPECT_THAT(ErrorOf(both), HasSubstr("--insecure"));
-  const ConnectFlags no_file = {.server = "127.0.0.1:1", .ca = "/nonexistent.pem"};
+  const ConnectFlags no_file = {.server = "127.0.0.1:1",
+                                .security = {.ca = "/nonexistent.pem"}};
   EXPECT_THAT(ErrorOf(no_file), HasSubstr("--ca /nonexistent.pem"));
 }
 
 TEST(Connect, TokenIsReadWithoutItsLineEnd) {
   const TemporaryFolder folder;
   const ConnectFlags flags = {.server = "127.0.0.1:1",
-                              .token_file = folder.Write("token", "secret\n")};
+                              .security = {.token_file = folder.Write("token", "secret\n")}};
   const auto connection = Connect(flags);
   ASSERT_TRUE(connection.ok()) << connection.status();
   EXPECT_EQ(connection->options.token, "secret");
-  const ConnectFlags empty = {.server = "127.0.0.1:1", .token_file = folder.Write("none", "")};
+  const ConnectFlags empty = {.server = "127.0.0.1:1",
+                              .security = {.token_file = folder.Write("none", "")}};
   EXPECT_THAT(ErrorOf(empty), HasSubstr("--token-file"));
+  const ConnectFlags list = {.server = "127.0.0.1:1",
+                             .security = {.token_file = folder.Write("list", "view me abc\n")}};
+  EXPECT_THAT(ErrorOf(list), HasSubstr("more than one word"));
 }
 
 }  // namespace

@@ -2,7 +2,6 @@
 
 #include <gtest/gtest.h>
 
-#include "worker/session/address.h"
 #include "worker/session/asset_cache.h"
 #include "worker/session/backoff.h"
 
@@ -27,20 +26,6 @@ TEST(HostResources, AreThere) {
   EXPECT_GE(MachineThreads(), 1);
   EXPECT_GT(MachineMemoryBytes(), 0);
   EXPECT_FALSE(MachineName().empty());
-}
-
-TEST(Address, PlainTextStaysOnTheMachineUnlessToldOtherwise) {
-  for (const char* loopback : {"127.0.0.1:1", "localhost:65535", "[::1]:4242", "127.8.9.1:80"}) {
-    EXPECT_TRUE(CheckAddress(loopback, false).ok()) << loopback;
-  }
-  for (const char* remote : {"10.0.0.1:4242", "render.example:4242", "[fe80::1]:4242"}) {
-    EXPECT_FALSE(CheckAddress(remote, false).ok()) << remote;
-    EXPECT_TRUE(CheckAddress(remote, true).ok()) << remote;
-  }
-  for (const char* wrong : {"", ":", "localhost", "localhost:", ":4242", "localhost:0",
-                            "localhost:65536", "localhost:x", "localhost:4242x", "::1:4242"}) {
-    EXPECT_FALSE(CheckAddress(wrong, true).ok()) << wrong;
-  }
 }
 
 Blob BlobOf(size_t size) { return std::make_shared<const std::string>(size, 'x'); }

@@ -15,6 +15,7 @@
 #include "core/film/delta_codec.h"
 #include "tests/worker/session/fake_coordinator.h"
 #include "worker/session/asset_fetcher.h"
+#include "worker/session/worker_channel.h"
 
 namespace tessera {
 namespace {
