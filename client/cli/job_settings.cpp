@@ -130,6 +130,10 @@ void ReadFrame(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* set
 absl::StatusOr<int64_t> ParseFeatureSpp(const std::string& flag, const std::string& text) {
   if (text == "all") return 0;
   const absl::StatusOr<int64_t> spp = ParseInteger(flag, text, 0, kFeatureSppMax);
+  if (spp.ok() && *spp == 1) {
+    return Conflict(absl::StrCat(flag, " 1: one sample has no variance, so filters could not use ",
+                                 "the features: give 2 or more, or all for every sample"));
+  }
   if (!spp.ok() || (*spp & (*spp - 1)) == 0) return spp;
   return Conflict(absl::StrCat(flag, " ", text,
                                ": must be a power of two such as 64, or all for every sample"));

@@ -77,7 +77,7 @@ TEST(SettingsFromFlags, FeatureSamplesAreAPowerOfTwoOrAll) {
     EXPECT_TRUE(settings->has_feature_spp());
     EXPECT_EQ(settings->feature_spp(), 0);
   }
-  for (const char* text : {"3", "-4", "many"}) {
+  for (const char* text : {"1", "3", "-4", "many"}) {
     flags.feature_spp = text;
     EXPECT_TRUE(absl::IsInvalidArgument(SettingsFromFlags(flags, nullptr).status())) << text;
   }
