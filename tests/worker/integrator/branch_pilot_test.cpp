@@ -22,7 +22,8 @@ struct SeedMoments {
   double error2 = 0;    // squared standard error of `mean`
 };
 
-SeedMoments MomentsWith(std::unique_ptr<Scene> (*make)(), int branches, uint64_t first_seed) {
+SeedMoments MomentsWith(std::unique_ptr<Scene> (*make)(), int branches, uint64_t first_seed,
+                        int64_t spp = 4) {
   std::vector<std::vector<double>> pictures;
   for (uint64_t seed = 0; seed < kSeeds; ++seed) {
     RenderSettings settings;
@@ -30,11 +31,14 @@ SeedMoments MomentsWith(std::unique_ptr<Scene> (*make)(), int branches, uint64_t
     settings.max_depth = 6;
     settings.seed = first_seed + seed;
     settings.branches = branches;
-    const TileStatistics tile = RenderAll(make(), settings, 4);
+    const TileStatistics tile = RenderAll(make(), settings, spp);
     std::vector<double> picture;
     for (size_t p = 0; p < size_t{kSize} * kSize; ++p) {
-      picture.push_back(0.5 * (double{tile.Floats(0, kRadianceMean)[p]} +
-                               double{tile.Floats(1, kRadianceMean)[p]}));
+      double sum = 0;
+      for (int half = 0; half < kNumHalves; ++half) {
+        sum += tile.HalfCount(half) * double{tile.Floats(half, kRadianceMean)[p]};
+      }
+      picture.push_back(sum / static_cast<double>(spp));
     }
     pictures.push_back(picture);
   }
@@ -55,11 +59,31 @@ SeedMoments MomentsWith(std::unique_ptr<Scene> (*make)(), int branches, uint64_t
 TEST(BranchPilotTest, BranchesMoveNoMeanAndLowerTheVariance) {
   for (auto* make : {Mixture, CornellBox}) {
     const SeedMoments one = MomentsWith(make, 1, 0);
-    const SeedMoments many = MomentsWith(make, 8, 1000);
-    // Z within 4: 1 in 16,000.
-    EXPECT_LT(std::fabs(many.mean - one.mean), 4 * std::sqrt(many.error2 + one.error2));
-    // The rest is of the points of a pixel, and of light that arrives directly.
-    EXPECT_LT(many.variance, 0.95 * one.variance);
+    for (int branches : {2, 4, 8}) {
+      const SeedMoments many = MomentsWith(make, branches, 1000 * branches);
+      // Z within 4: 1 in 16,000.
+      EXPECT_LT(std::fabs(many.mean - one.mean), 4 * std::sqrt(many.error2 + one.error2))
+          << branches;
+      // Few branches lower the variance by less than 12 seeds can tell. The rest is of the points
+      // of a pixel, and of light that arrives directly.
+      if (branches == 8) {
+        EXPECT_LT(many.variance, 0.95 * one.variance);
+      }
+    }
+  }
+}
+
+TEST(BranchPilotTest, EveryPrefixOfTheSamplesHasTheSameMean) {
+  for (int branches : {1, 4}) {
+    const SeedMoments many = MomentsWith(CornellBox, branches, 0, 64);
+    EXPECT_LT(std::sqrt(many.error2), 0.01 * many.mean);
+    for (int64_t spp : {1, 2, 8}) {
+      const SeedMoments few = MomentsWith(CornellBox, branches, 1000 * spp, spp);
+      // Z within 4: 1 in 16,000.
+      EXPECT_LT(std::fabs(many.mean - few.mean), 4 * std::sqrt(many.error2 + few.error2))
+          << branches << " branches, " << spp << " samples";
+      EXPECT_LT(std::sqrt(few.error2), 0.08 * many.mean);
+    }
   }
 }
 
