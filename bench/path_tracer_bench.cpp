@@ -5,6 +5,8 @@
 //   R,G,B]
 //     [--size WxH] [--spp N] [--threads N] [--branches N] [--out FILE.exr] [--png FILE.png]
 //     [--reference FILE.exr]
+#include <sys/resource.h>
+
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <atomic>
@@ -124,13 +126,33 @@ double AttributeBytesPerTriangle(const Scene& scene) {
   return static_cast<double>(bytes) / static_cast<double>(std::max<size_t>(triangles, 1));
 }
 
+// The most memory that the process has held so far.
+double PeakMegabytes() {
+  rusage usage;
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_maxrss) * 1024 / 1e6;
+}
+
+// What the scene holds, and what is built of it: Embree's hierarchies, the lights', the guide.
+void PrintMemory(const PathTracer& tracer, double peak_after_load) {
+  const double triangles =
+      static_cast<double>(std::max<int64_t>(tracer.scene().num_triangles(), 1));
+  const double scene = static_cast<double>(tracer.scene().memory_bytes());
+  std::printf(
+      "memory: scene %.0f MB, built %.0f MB (%.1f and %.1f B/triangle); "
+      "peak %.0f MB after loading, %.0f MB in all\n",
+      scene / 1e6, (static_cast<double>(tracer.memory_bytes()) - scene) / 1e6, scene / triangles,
+      (static_cast<double>(tracer.memory_bytes()) - scene) / triangles, peak_after_load,
+      PeakMegabytes());
+}
+
 absl::Status Run(const Options& options) {
   const double start = Seconds();
   auto scene = Load(options);
   if (!scene.ok()) return scene.status();
   for (const std::string& note : (*scene)->notes) std::printf("note: %s\n", note.c_str());
   const int64_t triangles = (*scene)->num_triangles();
-  const double loaded = Seconds();
+  const double loaded = Seconds(), peak_after_load = PeakMegabytes();
   RenderSettings settings;
   settings.width = options.width;
   settings.height = options.height;
@@ -161,6 +183,7 @@ absl::Status Run(const Options& options) {
       cpu_seconds / static_cast<double>(counters.rays) * 1e9,
       static_cast<double>(counters.rays) / static_cast<double>(counters.samples),
       (*tracer)->branches(), static_cast<long long>(counters.non_finite));
+  PrintMemory(**tracer, peak_after_load);
   const Image picture = PictureOf(planes);
   if (!options.out.empty()) {
     if (absl::Status s = WriteExr(options.out, picture); !s.ok()) return s;

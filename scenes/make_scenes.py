@@ -27,24 +27,25 @@ SCENES = {
 }
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+def main(description, scenes):
+    """Reads the command line and writes what it names of `scenes`, by name."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--out", required=True, help="folder for the .glb files")
-    parser.add_argument("names", nargs="*", help=f"of {', '.join(SCENES)}")
+    parser.add_argument("names", nargs="*", help=f"of {', '.join(scenes)}")
     arguments = parser.parse_args()
-    unknown = [name for name in arguments.names if name not in SCENES]
+    unknown = [name for name in arguments.names if name not in scenes]
     if unknown:
-        parser.error(f"no scene named {', '.join(unknown)}; there are {', '.join(SCENES)}")
+        parser.error(f"no scene named {', '.join(unknown)}; there are {', '.join(scenes)}")
     os.makedirs(arguments.out, exist_ok=True)
-    for name in arguments.names or SCENES:
+    for name in arguments.names or scenes:
         path = os.path.join(arguments.out, name + ".glb")
         # Beside, then renamed: whoever reads the file sees all of it.
         with open(path + ".part", "wb") as file:
-            file.write(SCENES[name]().encode())
+            file.write(scenes[name]().encode())
         os.replace(path + ".part", path)
         print(path)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(__doc__, SCENES))
