@@ -57,6 +57,10 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
                  "Seconds after which the work of a silent worker is given to another")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();
+  app.add_option("--audit-rate", service.audit_rate,
+                 "Share of the work that is rendered on two hosts and compared; 1 = all of it")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   app.add_option("--tile-size", service.tile_size, "Of jobs that name none")->capture_default_str();
   app.add_option("--filter-threads", service.filter_threads, "That denoise; 0 = all cores")
       ->capture_default_str();

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <random>
 #include <thread>
 
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
@@ -60,6 +61,9 @@ absl::Status CheckOptions(const ServiceOptions& options) {
   if (options.lease_ttl.count() < 100 || options.lease_ttl.count() > 3600000) {
     return absl::InvalidArgumentError(absl::StrCat(
         "--lease-ttl is ", options.lease_ttl.count(), " ms: give 100 ms to an hour"));
+  }
+  if (!(options.audit_rate >= 0 && options.audit_rate <= 1)) {
+    return absl::InvalidArgumentError("--audit-rate: give 0 (none) to 1 (every unit)");
   }
   if (options.filter_threads < 0 || options.filter_threads > 1024) {
     return absl::InvalidArgumentError("--filter-threads: give 1 to 1024, or 0 for all");
@@ -209,12 +213,15 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   config_.version = kVersion;
   config_.defaults = {.tile_size = options.tile_size, .denoisers = DenoiserNames()};
   config_.lease_ttl_ms = options.lease_ttl.count();
+  config_.audit_rate = options.audit_rate;
+  std::random_device secret;  // decides who checks what, never a bit
+  config_.audit_seed = uint64_t{secret()} << 32 | secret();
   config_.film_bytes_max = HalfOfMemory();
   saver_ = std::make_unique<JobSaver>(catalogue_.get(), films_.get(), assets_.get());
   sessions_ = std::make_unique<WorkerSessions>([this](Event event) {
     const absl::Status status = host_->Post(std::move(event)).status;
     if (!status.ok()) ServerLog().debug("worker event: {}", status.ToString());
-  });
+  }, options.audit_rate > 0);
   watchers_ = std::make_unique<WatchHub>(WatchCallbacks{
       .get_job =
           [this](JobId job, v1::Job* out) {

@@ -22,6 +22,7 @@ struct ServiceOptions {
   int filter_threads = 0;          // 0 = all
   int tile_size = 32;              // default of jobs that name none
   std::chrono::milliseconds lease_ttl{10000};
+  double audit_rate = 0;           // of all units, rendered on two hosts and compared
   bool insecure = false;           // plaintext on other than loopback addresses
   TlsFiles tls{};                  // of the gRPC and the HTTP port
   std::string token_file{};        // empty = no tokens are asked for; see Access::Open

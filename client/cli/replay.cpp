@@ -5,7 +5,6 @@
 #include <google/protobuf/util/json_util.h>
 
 #include "absl/strings/str_cat.h"
-#include "core/base/check.h"
 #include "core/base/tile_grid.h"
 #include "core/image/image_reader.h"
 
@@ -13,6 +12,7 @@ namespace tessera {
 namespace {
 
 constexpr int kTileSizeMax = 64;
+constexpr size_t kTilesMax = size_t{1} << 18;  // that a server takes
 
 std::string TextOf(const Metadata& metadata, const std::string& key) {
   const auto found = metadata.find(key);
@@ -104,11 +104,17 @@ absl::Status SetReplay(const ReplayedPicture& picture, v1::JobSettings* settings
   std::vector<int64_t> counts;
   for (const int size : TileSizesNear(std::clamp(settings->tile_size(), 1, kTileSizeMax))) {
     counts = CountsByTile(picture, size);
+    if (counts.size() > kTilesMax) counts.clear();
     if (counts.empty()) continue;
     settings->set_tile_size(size);
     break;
   }
-  TESSERA_CHECK(!counts.empty());  // tiles of one pixel always fit
+  if (counts.empty()) {  // those that it was rendered with would fit
+    return absl::InvalidArgumentError(
+        absl::StrCat("--replay: the layer 'samples' differs from pixel to pixel in a way that no "
+                     "tiles do, of which a server takes ", kTilesMax, ": the file was edited after "
+                     "it was rendered; give the one that tessera wrote"));
+  }
   v1::Replay& replay = *settings->mutable_replay();
   replay.Clear();
   replay.set_version(picture.version);

@@ -131,6 +131,16 @@ const std::vector<TileStatistics>& Film::Nodes(int64_t tile_index) const {
   return nodes_.empty() ? *kNone : nodes_[static_cast<size_t>(tile_index)];
 }
 
+void Film::ResetTile(int64_t tile_index) {
+  if (nodes_.empty()) return;
+  std::vector<TileStatistics>& nodes = nodes_.at(static_cast<size_t>(tile_index));
+  for (const TileStatistics& node : nodes) {
+    samples_ -= node.range().size() * node.num_pixels();
+    non_finite_ -= node.non_finite;
+  }
+  nodes.clear();
+}
+
 void Film::DropWaiting() {
   for (std::vector<TileStatistics>& nodes : nodes_) {
     int64_t end = 0;

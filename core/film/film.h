@@ -52,6 +52,9 @@ class Film {
   // Independent of the tile size.
   Sha256Digest Digest() const;
 
+  // Drops all samples of one tile.
+  void ResetTile(int64_t tile_index);
+
   // Drops every node that lies beyond its tile's CommittedEnd: no other sample will join it.
   void DropWaiting();
 

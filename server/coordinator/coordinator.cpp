@@ -50,7 +50,7 @@ void Coordinator::On(TickEvent&) {
   for (auto& [session, worker] : workers_) {
     std::erase_if(worker->retry_assets_ms,
                   [this](const auto& retry) { return retry.second <= now_.monotonic_ms; });
-    if (worker->leases.empty() && !IsSilent(*worker)) Race(*worker);
+    if (worker->leases.empty() && !worker->reserved && !IsSilent(*worker)) Race(*worker);
   }
   waiting_changed_ = true;
 }

@@ -35,6 +35,10 @@ struct CoordinatorConfig {
   SettingsDefaults defaults;
   int64_t lease_ttl_ms = 10000;
   int64_t checkpoint_interval_ms = 30000;
+  // How many of all units are rendered a second time, on another host, and compared before they
+  // count: 0 = none, 1 = all. Which ones they are is drawn from audit_seed, which nobody may guess.
+  double audit_rate = 0;
+  uint64_t audit_seed = 0;
   // Of all films that are held in memory.
   int64_t film_bytes_max = int64_t{64} << 30;
 };
@@ -105,6 +109,7 @@ class Coordinator {
   void On(DeclineEvent& event);
   void On(SceneReadyEvent& event);
   void On(SceneFailureEvent& event);
+  void On(CrashEvent& event);
   void On(DrainEvent& event);
   void On(PictureEvent& event);
   void On(JobFinishedEvent& event);
@@ -142,6 +147,21 @@ class Coordinator {
   void OpenNextEpoch(Job& job);
   bool NextEpochFits(const Job& job) const;
   void CheckTime(Job& job);
+
+  // Units and workers that are not trusted (coordinator_trust.cpp).
+  bool IsAudited(const Job& job, const Unit& unit) const;
+  absl::Status Hear(Job& job, const Unit& unit, const std::string& host, const DeltaEvent& event,
+                    std::vector<std::string>* liars);
+  void Ban(const std::string& host, const std::string& reason);
+  void ResetTouched(Job& job, const std::string& host);
+  void OnUnitCrashed(Job& job, const Unit& unit, const std::string& host,
+                     const v1::CrashReport& report);
+  void Convict(Job& job, const Unit& unit, const std::string& host, const v1::CrashReport& report);
+  void GrantSuspects();
+  Worker* WorkerForSuspect(const Job& job, const std::set<std::string>& crash_hosts);
+  std::optional<Unit> AuditFor(Job& job, const Worker& worker);
+  bool KeepUnit(Job& job, const Unit& unit);
+  void CloseQueue(Job& job);
 
   // Leases (coordinator_leases.cpp).
   Worker* FindWorker(SessionId session);
@@ -181,6 +201,8 @@ class Coordinator {
   std::set<JobId> waiting_changed_of_;     // these jobs' reasons may have
   std::map<SessionId, std::unique_ptr<Worker>> workers_;
   std::map<LeaseId, Lease> leases_;
+  std::set<JobId> suspicious_;        // jobs with suspects
+  std::set<std::string> banned_;      // hosts that returned wrong bits
   std::set<std::pair<int64_t, LeaseId>> expiries_;  // (expires_ms, lease)
   std::map<std::string, RequestRecord> requests_;
   std::deque<std::string> request_order_;  // oldest first

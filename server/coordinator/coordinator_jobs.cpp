@@ -351,7 +351,7 @@ absl::Status Coordinator::Cancel(Job& job) {
     Finish(job, v1::STOP_REASON_CANCELLED);
     return absl::OkStatus();
   }
-  job.queue.reset();
+  CloseQueue(job);
   job.record.set_stop_reason(v1::STOP_REASON_CANCELLED);
   SetState(job, v1::JOB_STATE_CANCELLED);
   Save(job, false);
@@ -373,7 +373,7 @@ void Coordinator::Delete(JobId id) {
 void Coordinator::Finish(Job& job, v1::StopReason reason) {
   StopWork(job);
   job.film->DropWaiting();
-  job.queue.reset();
+  CloseQueue(job);
   UpdateProgress(job);
   v1::SampleCounts counts = CountsOf(*job.film);
   if (counts.run_tiles_size() > 0) *job.record.mutable_sample_counts() = std::move(counts);
@@ -396,7 +396,7 @@ void Coordinator::On(JobFinishedEvent& event) {
 
 void Coordinator::Fail(Job& job, const std::string& error) {
   StopWork(job);
-  job.queue.reset();
+  CloseQueue(job);
   job.record.set_stop_reason(v1::STOP_REASON_FAILED);
   job.record.set_error(CutText(error, kErrorBytesMax));
   SetState(job, v1::JOB_STATE_FAILED);

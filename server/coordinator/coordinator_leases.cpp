@@ -77,6 +77,11 @@ void Coordinator::On(WorkerConnectedEvent& event) {
     status = absl::ResourceExhaustedError(
         absl::StrCat("the server has ", kWorkersMax, " workers already"));
   }
+  if (banned_.contains(event.hello.host())) {
+    status = absl::PermissionDeniedError(absl::StrCat(
+        event.hello.host(), " returned wrong bits and is banned: check its memory, its processor "
+        "and its build; it is refused until the server is started again"));
+  }
   if (!status.ok()) {
     CloseWorker(event.session, status);
     return;
@@ -192,11 +197,13 @@ void Coordinator::CountFilm(Job& job) {
 
 void Coordinator::GrantAll() {
   if (order_.empty()) return;
+  GrantSuspects();
   // One lease each in turn, so that a short queue spreads over all workers.
   bool granted = true;
   while (granted) {
     granted = false;
     for (auto& [session, worker] : workers_) {
+      if (worker->is_alone || worker->reserved) continue;
       if (IsSilent(*worker) || worker->leases.size() >= worker->leases_max()) continue;
       if (GrantOne(*worker)) granted = true;
     }
@@ -226,7 +233,9 @@ bool Coordinator::GrantOne(Worker& worker) {
 bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
   std::ranges::stable_sort(jobs, {}, [](const Job* job) { return job->samples_under_way; });
   for (Job* const job : jobs) {
-    if (const std::optional<Unit> unit = TakeUnit(*job)) {
+    std::optional<Unit> unit = AuditFor(*job, worker);
+    if (!unit && job->audits.size() < kAuditsMax) unit = TakeUnit(*job);
+    if (unit) {
       Grant(worker, *job, *unit);
       return true;
     }
@@ -273,6 +282,7 @@ bool Coordinator::Race(Worker& worker) {
     const Job& job = *jobs_.at(lease.job);
     if (now_.monotonic_ms - lease.issued_ms < config_.lease_ttl_ms / 4) break;
     if (lease.session == worker.session || job.leases_of_unit.at(lease.unit).size() > 1) continue;
+    if (job.suspects.contains(lease.unit)) continue;  // it would be neither alone nor safe
     if (!CanServe(worker, job)) continue;
     oldest = &lease;
     break;
@@ -297,7 +307,7 @@ void Coordinator::DropLease(LeaseId id, bool revoke) {
   std::erase(others, id);
   if (others.empty()) {
     job.leases_of_unit.erase(lease.unit);
-    if (job.queue != nullptr) job.queue->Return(lease.unit);
+    if (job.queue != nullptr && !KeepUnit(job, lease.unit)) job.queue->Return(lease.unit);
   }
   const auto worker = workers_.find(lease.session);
   if (worker != workers_.end()) worker->second->leases.erase(id);
@@ -390,6 +400,10 @@ std::string Coordinator::ReasonOfWorkers(const Job& job) const {
   }
   if (able && !FitsMemory(job)) {
     return kFilmsFull;
+  }
+  if (able && !job.audits_waiting.empty()) {
+    return "its samples wait for a worker of another host to render them, too (--audit-rate): "
+           "start one there";
   }
   if (able) return "all workers are busy with jobs that come first";
   if (failing > 0) return absl::StrCat("a worker could not fetch an asset: ", job.last_decline);

@@ -83,6 +83,23 @@ void Coordinator::On(DeltaEvent& event) {
   const int64_t samples = event.tile.range().size() * event.tile.num_pixels();
   worker->samples += samples;
   totals_.samples += samples;
+  const Unit unit{event.delta.tile_index(), event.tile.range()};
+  const std::string host = worker->hello.host();
+  std::vector<std::string> liars;
+  if (IsAudited(*job, unit)) {
+    result_.status = Hear(*job, unit, host, event, &liars);
+    if (!result_.status.ok()) return;
+  }
+  for (const std::string& liar : liars) {
+    Ban(liar, absl::StrCat(liar, " returned other bits than two other hosts for ", JobName(*id),
+                           " tile ", unit.tile, ": check its memory, its processor and its build; "
+                           "it is refused until the server is started again"));
+  }
+  if (!liars.empty() && !job->audits.contains(unit)) {
+    result_.status = absl::AbortedError("the tile starts over");
+    return;
+  }
+  if (config_.audit_rate > 0) job->rendered_by[host].push_back(unit);
   Merge(*job, event);
 }
 
@@ -92,6 +109,9 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
   result_.status = job.film->Accept(unit.tile, std::move(event.tile));
   TESSERA_CHECK(result_.status.ok());
   const bool pass_committed = job.queue->Complete(unit);
+  job.audits.erase(unit);
+  job.audits_waiting.erase(unit);
+  job.suspects.erase(unit);
   DropLeasesOf(job, unit);
 
   CountFilm(job);

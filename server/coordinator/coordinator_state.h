@@ -36,6 +36,20 @@ inline void AddCost(const TileCost& cost, v1::JobProgress* progress) {
                                     1e-9 * static_cast<double>(cost.render_ns));
 }
 
+// What hosts say of a unit that is audited: who, and the SHA-256 of what it rendered.
+struct Testimony {
+  std::string host;
+  Sha256Digest digest;
+};
+// A unit that was being rendered when workers crashed. It is rendered by a worker that does nothing
+// else, until somebody has rendered it or it is known to be to blame.
+struct Suspect {
+  int crashes_alone = 0;  // with nothing else under way
+  bool is_half = false;   // of a unit that was to blame
+  std::set<std::string> hosts;                       // that have crashed
+  std::set<std::pair<std::string, int>> processes;   // each counts once
+};
+
 struct Coordinator::Job {
   JobId id = 0;
   std::string request_id;
@@ -48,6 +62,13 @@ struct Coordinator::Job {
   std::map<SessionId, int> leases_of_session;
   std::map<Unit, std::vector<LeaseId>> leases_of_unit;
   int64_t samples_under_way = 0;
+  // Units that are not the queue's to hand out while they are listed here.
+  std::map<Unit, std::vector<Testimony>> audits;
+  std::set<Unit> audits_waiting;  // those that nobody renders just now
+  std::map<Unit, Suspect> suspects;
+  std::set<std::pair<std::string, int>> build_crashes;  // processes that its scene has crashed
+  // With audits: what each host has added to the film, until the job closes.
+  std::map<std::string, std::vector<Unit>> rendered_by;
   bool holds_film = false;  // its film counts into film_bytes_
   // The most memory of a worker that declined for want of it: none with as little is asked again.
   int64_t memory_short_bytes = -1;
@@ -84,6 +105,8 @@ struct Coordinator::Worker {
   Instant connected;
   Instant seen;
   bool draining = false;
+  bool is_alone = false;  // it renders a suspect, and nothing else
+  bool reserved = false;  // it gets nothing until it is idle: a suspect waits for it
   std::set<LeaseId> leases;
   std::set<JobId> known_jobs;  // JobSpec sent
   // Jobs whose assets it could not fetch -> not before this monotonic moment.

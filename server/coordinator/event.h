@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -69,6 +70,7 @@ struct DeltaEvent {
   v1::TileDelta delta{};
   int64_t wire_bytes = 0;
   TileStatistics tile{};
+  std::optional<Sha256Digest> digest{};  // TestimonyOf(tile), if somebody has taken it already
 };
 struct HeartbeatEvent {
   SessionId session = 0;
@@ -85,6 +87,10 @@ struct SceneReadyEvent {
 struct SceneFailureEvent {
   SessionId session = 0;
   v1::SceneFailure failure;
+};
+struct CrashEvent {
+  SessionId session = 0;  // of the process that came after the one that crashed
+  v1::CrashReport report;
 };
 struct DrainEvent {
   SessionId session = 0;
@@ -108,7 +114,7 @@ struct TickEvent {};
 using Event =
     std::variant<CreateJobEvent, JobCommandEvent, RestoreJobEvent, FilmStoredEvent,
                  WorkerConnectedEvent, WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
-                 SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent,
-                 TickEvent>;
+                 SceneReadyEvent, SceneFailureEvent, CrashEvent, DrainEvent, PictureEvent,
+                 JobFinishedEvent, TickEvent>;
 
 }  // namespace tessera

@@ -1,6 +1,7 @@
 // The bounds of everything that outside data can drive (C6).
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 namespace tessera {
@@ -33,6 +34,13 @@ inline constexpr int64_t kRaysPerSampleMax = 1 << 20;
 inline constexpr int64_t kLeaseSamplesMax = int64_t{1} << 19;
 // How many ranges of one tile may be under way at once; bounds the film's waiting nodes.
 inline constexpr int kOpenStagesMax = 8;
+
+// Of one job, units that wait for a second host's samples; then no others are handed out.
+inline constexpr size_t kAuditsMax = 4096;
+// Hosts that render a unit before it is clear that no two of them agree.
+inline constexpr size_t kTestimoniesMax = 7;
+inline constexpr int kCrashUnitsMax = kWorkerThreadsMax;  // that one crash may be blamed on
+inline constexpr size_t kBannedHostsMax = 4096;
 
 inline constexpr int kStreamsOfConnectionMax = 1024;  // more wait at the client
 inline constexpr int kWatchesMax = 4096;

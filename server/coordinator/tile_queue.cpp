@@ -102,6 +102,29 @@ void TileQueue::Return(const Unit& unit) {
   ready_.push_front(unit);
 }
 
+bool TileQueue::Claim(const Unit& unit) {
+  const auto it = open_.find(unit);
+  if (it == open_.end()) return false;
+  if (!it->second) std::erase(ready_, unit);
+  it->second = true;
+  return true;
+}
+
+std::vector<Unit> TileQueue::Split(const Unit& unit) {
+  TESSERA_CHECK(open_.contains(unit) && unit.range.size() > 1);
+  const int64_t middle = unit.range.begin + unit.range.size() / 2;
+  const std::vector<Unit> halves = {{unit.tile, {unit.range.begin, middle}},
+                                    {unit.tile, {middle, unit.range.end}}};
+  open_.erase(unit);
+  for (const Unit& half : halves) open_[half] = true;
+  for (Stage& stage : stages_) {
+    if (unit.range.begin >= stage.range.begin && unit.range.end <= stage.range.end) {
+      ++stage.units_left;
+    }
+  }
+  return halves;
+}
+
 bool TileQueue::Complete(const Unit& unit) {
   const auto it = open_.find(unit);
   TESSERA_CHECK(it != open_.end());

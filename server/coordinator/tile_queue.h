@@ -33,6 +33,10 @@ class TileQueue {
   std::optional<Unit> Take();
   // Gives back a unit that nobody renders any more. Ignores one that is not under way.
   void Return(const Unit& unit);
+  // Takes this unit in particular, wherever it waits. Returns whether it is still wanted.
+  bool Claim(const Unit& unit);
+  // Puts two halves in the place of a unit that is under way; both are under way then.
+  std::vector<Unit> Split(const Unit& unit);
   // The unit's samples are in the film. Returns whether the frame's committed_spp has grown.
   bool Complete(const Unit& unit);
   // Whether the unit has been handed out and its samples have not come yet.

@@ -19,7 +19,7 @@ DeltaKey KeyOf(const v1::TileDelta& delta) {
           .rays = delta.rays()};
 }
 
-absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta) {
+absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool with_digest) {
   const v1::Region& window = delta.window();
   const SampleRange range{delta.sample_begin(), delta.sample_end()};
   if (window.width() < 1 || window.height() < 1 || window.width() > kTileSizeMaxPx ||
@@ -39,6 +39,7 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta) {
       DecodeDelta(RectOf(window), range, delta.feature_end(), delta.encoding(), delta.payload());
   if (!tile.ok()) return tile.status();
   event.tile = *std::move(tile);
+  if (with_digest) event.digest = TestimonyOf(event.tile);
   delta.clear_payload();
   event.delta = std::move(delta);
   return event;
@@ -46,12 +47,16 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta) {
 
 }  // namespace
 
-absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message) {
+Sha256Digest TestimonyOf(const TileStatistics& tile) {
+  return Sha256Of(EncodeDelta(tile, DeltaEncoding::kPacked).payload);
+}
+
+absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message, bool with_digests) {
   switch (message.message_case()) {
     case v1::WorkerMessage::kHello:
       return WorkerConnectedEvent{session, std::move(*message.mutable_hello())};
     case v1::WorkerMessage::kDelta:
-      return DecodeEvent(session, *message.mutable_delta());
+      return DecodeEvent(session, *message.mutable_delta(), with_digests);
     case v1::WorkerMessage::kHeartbeat:
       return HeartbeatEvent{
           session, {message.heartbeat().leases().begin(), message.heartbeat().leases().end()}};
@@ -63,6 +68,8 @@ absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message) {
       return SceneFailureEvent{session, std::move(*message.mutable_scene_failure())};
     case v1::WorkerMessage::kDrain:
       return DrainEvent{session};
+    case v1::WorkerMessage::kCrash:
+      return CrashEvent{session, std::move(*message.mutable_crash())};
     case v1::WorkerMessage::MESSAGE_NOT_SET:
       break;
   }

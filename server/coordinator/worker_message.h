@@ -10,6 +10,11 @@ namespace tessera {
 // The event that a message of an open session stands for; takes what it needs out of `message`.
 // Errors: INVALID_ARGUMENT for what no worker of this version sends, damaged bytes included: the
 // session must end.
-absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message);
+// with_digests: deltas come with DeltaEvent.digest, which takes time.
+absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message,
+                              bool with_digests = false);
+
+// What an audit compares: the SHA-256 of every bit of the statistics.
+Sha256Digest TestimonyOf(const TileStatistics& tile);
 
 }  // namespace tessera

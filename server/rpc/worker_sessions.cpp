@@ -95,7 +95,7 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
       ServerLog().info("session={} worker connected host={} process={} threads={}", session_,
                        hello.host().substr(0, 256), hello.process_id(), hello.threads());
     }
-    absl::StatusOr<Event> event = EventOf(session_, message);
+    absl::StatusOr<Event> event = EventOf(session_, message, sessions_->with_digests_);
     if (!event.ok()) return event.status();
     sessions_->post_(*std::move(event));
     return absl::OkStatus();

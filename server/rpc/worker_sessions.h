@@ -21,7 +21,9 @@ class WorkReactor;
 class WorkerSessions {
  public:
   using Post = std::function<void(Event)>;
-  explicit WorkerSessions(Post post) : post_(std::move(post)) {}
+  // with_digests: deltas come with what audits compare, taken on the stream's own thread.
+  explicit WorkerSessions(Post post, bool with_digests = false)
+      : post_(std::move(post)), with_digests_(with_digests) {}
 
   // The reactor of a new stream. It deletes itself.
   grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Accept(
@@ -40,6 +42,7 @@ class WorkerSessions {
   void Remove(SessionId session);
 
   const Post post_;
+  const bool with_digests_;
   std::mutex mu_;  // guards all below
   std::map<SessionId, WorkReactor*> reactors_;
   SessionId next_session_ = 1;

@@ -1,5 +1,6 @@
 #include "server/store/asset_store.h"
 
+#include <fcntl.h>
 #include <stdlib.h>
 #include <unistd.h>
 
@@ -21,6 +22,17 @@ namespace fs = std::filesystem;
 constexpr char kPartEnding[] = ".part";
 constexpr size_t kUploadsMax = 4096;
 constexpr size_t kCopyBytes = 1 << 20;
+
+// Of a file or a folder. Errors: RESOURCE_EXHAUSTED.
+absl::Status SyncToDisk(const std::string& path) {
+  const int descriptor = open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  const bool is_synced = descriptor >= 0 && (fsync(descriptor) == 0 || errno == EINVAL);
+  const int error = errno;
+  if (descriptor >= 0) close(descriptor);
+  if (is_synced) return absl::OkStatus();
+  return absl::ResourceExhaustedError(
+      absl::StrCat("cannot write ", path, ": ", std::strerror(error), "; free some space"));
+}
 
 absl::StatusOr<Sha256Digest> DigestOfName(const std::string& name) {
   if (name.size() != 64) return absl::InvalidArgumentError("not a digest");
@@ -165,8 +177,13 @@ absl::Status AssetStore::Complete(const Sha256Digest& digest, Upload& upload) {
   if (dir_.empty()) {
     asset.content = std::make_shared<const std::string>(std::move(upload.content));
   } else {
+    // A file by its final name is whole, also after a loss of power: Scan trusts it.
+    if (absl::Status status = SyncToDisk(PartPathOf(digest)); !status.ok()) return status;
     std::error_code error;
     fs::rename(PartPathOf(digest), PathOf(digest), error);
+    if (!error) {
+      if (absl::Status status = SyncToDisk(dir_); !status.ok()) return status;
+    }
     if (error) {
       return absl::ResourceExhaustedError(
           absl::StrCat("cannot rename ", PartPathOf(digest), ": ", error.message()));

@@ -74,5 +74,24 @@ TEST(TileQueue, NothingToDoIsDone) {
   EXPECT_TRUE(TileQueue(SampleSchedule(8, 64, false), 2, {3, 0}, {3, 0}).Done());
 }
 
+TEST(TileQueue, AClaimedUnitIsNotHandedOutAndItsHalvesCompleteIt) {
+  TileQueue queue(SampleSchedule(2, 64, false), 2);
+  const Unit first = *queue.Take();
+  queue.Return(first);
+  ASSERT_TRUE(queue.Claim(first));
+  const Unit second = *queue.Take();
+  EXPECT_NE(second.tile, first.tile);
+  EXPECT_FALSE(queue.Take().has_value()) << "the claimed one is somebody's";
+  const std::vector<Unit> halves = queue.Split(first);
+  ASSERT_EQ(halves.size(), 2u);
+  EXPECT_EQ(halves[0].range, (SampleRange{0, 1}));
+  EXPECT_EQ(halves[1].range, (SampleRange{1, 2}));
+  EXPECT_FALSE(queue.Claim(first));
+  EXPECT_FALSE(queue.Complete(second));
+  EXPECT_FALSE(queue.Complete(halves[1]));
+  EXPECT_TRUE(queue.Complete(halves[0]));
+  EXPECT_TRUE(queue.Done());
+}
+
 }  // namespace
 }  // namespace tessera

@@ -32,13 +32,19 @@ int64_t TargetSpp(const v1::JobSettings& s) {
 }  // namespace
 
 void Checkers::OnRestored(const Coordinator& coordinator) {
-  ranges_.clear();
+  OnReset(coordinator);
   revisions_.clear();
   for (const v1::Job& record : coordinator.ListJobs(0, SIZE_MAX)) {
-    const JobId job = *ParseJobName(record.name());
     if (record.revision().incarnation() <= incarnation_) {
       Fail(absl::StrCat(record.name(), " came back with an old incarnation"));
     }
+  }
+}
+
+void Checkers::OnReset(const Coordinator& coordinator) {
+  ranges_.clear();
+  for (const v1::Job& record : coordinator.ListJobs(0, SIZE_MAX)) {
+    const JobId job = *ParseJobName(record.name());
     const std::shared_ptr<const Film> film = coordinator.FilmOf(job);
     for (int64_t tile = 0; film != nullptr && tile < film->grid().num_tiles(); ++tile) {
       for (const TileStatistics& node : film->Nodes(tile)) {
@@ -132,6 +138,16 @@ void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
   std::vector<int64_t> counts(static_cast<size_t>(grid.num_tiles()),
                               record.progress().committed_spp());
   if (record.has_sample_counts()) counts = ExpandCounts(record.sample_counts());
+  if (plan.is_poisoned && record.state() == v1::JOB_STATE_FAILED) {
+    if (record.error().find("has crashed") == std::string::npos) {
+      Fail(absl::StrCat(record.name(), " does not say what crashed: ", record.error()));
+    }
+    return;
+  }
+  if (plan.is_poisoned && record.state() != v1::JOB_STATE_CANCELLED) {
+    return Fail(absl::StrCat(record.name(), " cannot be rendered, and is in state ",
+                             v1::JobState_Name(record.state())));
+  }
   switch (record.state()) {
     case v1::JOB_STATE_DONE: {
       int64_t spp = s.spp();

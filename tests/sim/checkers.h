@@ -25,6 +25,8 @@ class Checkers {
 
   // A run of the server has brought its jobs back.
   void OnRestored(const Coordinator& coordinator);
+  // Films have lost samples, as a worker was banned.
+  void OnReset(const Coordinator& coordinator);
   // A delta has come, and the coordinator has taken it (it counts).
   void OnCounted(JobId job, const Unit& unit);
   // An event has been dealt with; these jobs have a new revision.

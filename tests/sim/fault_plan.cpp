@@ -69,6 +69,23 @@ Fault MakeFault(SimRandom& random, const FaultPlan& plan) {
   return fault;
 }
 
+// Units that crash workers; workers that lie, among others that outvote them.
+void AddBadCitizens(SimRandom& random, FaultPlan* plan) {
+  if (random.Chance(0.2)) {
+    JobPlan& job = plan->jobs[static_cast<size_t>(random.Between(0, std::ssize(plan->jobs) - 1))];
+    job.is_poisoned = true;
+    job.settings.set_seed(kPoisonSeed);
+  }
+  if (plan->is_large || !random.Chance(0.3)) return;
+  WorkerPlan honest = plan->workers.front();
+  honest.failed_fetch = 0;
+  for (int i = 0; i < 2; ++i) plan->workers.push_back(honest);
+  plan->audit_rate = random.Chance(0.5) ? 1 : random.Uniform();
+  if (plan->audit_rate < 1) return;
+  honest.lies = random.Chance(0.5) ? 1 : 0.5 * random.Uniform();
+  plan->workers.push_back(honest);
+}
+
 }  // namespace
 
 FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
@@ -108,6 +125,7 @@ FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
                                       plan.workers.front().samples_per_ms);
   const int64_t num_faults = random.Chance(0.05) ? 0 : random.Between(1, is_large ? 60 : 12);
   for (int64_t i = 0; i < num_faults; ++i) plan.faults.push_back(MakeFault(random, plan));
+  AddBadCitizens(random, &plan);
   return plan;
 }
 

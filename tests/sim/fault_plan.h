@@ -27,6 +27,7 @@ struct WorkerPlan {
   int64_t memory_bytes = 0;
   int64_t start_us = 0;
   double failed_fetch = 0;  // chance of a scene's files not to come
+  double lies = 0;          // chance of a delta to be of other samples than it says
 };
 
 enum class FaultKind {
@@ -50,6 +51,7 @@ struct Fault {
 struct JobPlan {
   v1::JobSettings settings;
   int64_t create_us = 0;
+  bool is_poisoned = false;  // whoever renders sample 0 of its tile 1 crashes
   enum class Fate { kRuns, kCancelled, kPausedForAWhile, kDeleted };
   Fate fate = Fate::kRuns;
   int64_t fate_us = 0;   // after it was created
@@ -64,6 +66,7 @@ struct FaultPlan {
   std::vector<Fault> faults;
   int64_t lease_ttl_ms = 0;
   int64_t checkpoint_ms = 0;
+  double audit_rate = 0;
   int64_t faults_end_us = 0;  // after that nothing breaks any more
   int64_t end_us = 0;         // by then every job has ended
   bool is_large = false;      // 200 workers, 20 jobs

@@ -21,18 +21,19 @@ v1::AssetRef SimAsset() {
   return asset;
 }
 
-v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease) {
+v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease, bool is_lie) {
+  const uint64_t seed = settings.seed() + (is_lie ? 1000000 : 0);
   const PixelRect window = RectOf(lease.window());
   const SampleRange range{lease.sample_begin(), lease.sample_end()};
   const int64_t feature_end = FeatureEndOf(settings.feature_spp());
   // Few scenes are rendered by thousands of runs.
   using Key = std::tuple<uint64_t, int, int, int, int, int64_t, int64_t, int64_t>;
   static auto* const cache = new std::map<Key, EncodedDelta>();
-  const Key key{settings.seed(), window.x_begin, window.y_begin, window.x_end,
+  const Key key{seed, window.x_begin, window.y_begin, window.x_end,
                 window.y_end,    range.begin,    range.end,      feature_end};
   auto rendered = cache->find(key);
   if (rendered == cache->end()) {
-    const TileStatistics tile = SyntheticTile(settings.seed(), window, range, feature_end);
+    const TileStatistics tile = SyntheticTile(seed, window, range, feature_end);
     rendered = cache->emplace(key, EncodeDelta(tile, DeltaEncoding::kPacked)).first;
   }
   const EncodedDelta& encoded = rendered->second;

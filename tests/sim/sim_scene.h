@@ -16,8 +16,12 @@ inline constexpr char kSimAsset[] = "a scene";
 
 v1::AssetRef SimAsset();
 
-// The delta of a lease, as an honest worker makes it.
-v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease);
+// Whoever renders sample 0 of tile 1 of a job with this seed crashes.
+inline constexpr uint64_t kPoisonSeed = 666;
+
+// The delta of a lease, as an honest worker makes it, or one that lies.
+v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
+                        bool is_lie = false);
 
 // The digest of a film whose tile i has its first counts[i] samples.
 std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts);

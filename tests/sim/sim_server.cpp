@@ -61,6 +61,8 @@ class SimServer::Run : public EffectSink {
   Instant Now() const { return {NowMs() + clock_offset_ms_, 1700000000000 + NowMs()}; }
   const CoordinatorHost& host() const { return host_; }
   JobRequests& requests() { return requests_; }
+  // Whether a worker was banned since the last call, and what it had touched was dropped.
+  bool FilmsReset() { return std::exchange(films_reset_, false); }
   uint64_t id() const { return id_; }
 
   CoordinatorConfig Config() const {
@@ -71,6 +73,8 @@ class SimServer::Run : public EffectSink {
     config.defaults = {.tile_size = 8, .denoisers = {"none"}};
     config.lease_ttl_ms = server_.plan_.lease_ttl_ms;
     config.checkpoint_interval_ms = server_.plan_.checkpoint_ms;
+    config.audit_rate = server_.plan_.audit_rate;
+    config.audit_seed = server_.plan_.seed;
     return config;
   }
 
@@ -95,6 +99,7 @@ class SimServer::Run : public EffectSink {
   void On(const CloseSessionEffect& e) {
     server_.trace_(absl::StrCat("closes session ", e.session, ": ", e.status.ToString()));
     server_.network_->Close(e.session, e.status);
+    films_reset_ = films_reset_ || absl::IsPermissionDenied(e.status);
   }
   void On(const JobChangedEffect& e) { changed_.insert(e.job); }
   void On(const TileChangedEffect&) {}
@@ -125,6 +130,7 @@ class SimServer::Run : public EffectSink {
   const int64_t clock_offset_ms_;
   bool alive_ = true;
   Instant last_step_;
+  bool films_reset_ = false;
   bool saving_ = false;
   bool save_due_ = false;
   std::set<JobId> changed_;
@@ -195,7 +201,11 @@ void SimServer::Receive(SimNetwork::Stream stream, v1::WorkerMessage message) {
     unit = {delta->delta.tile_index(), delta->tile.range()};
   }
   const absl::Status status = run_->Post(*std::move(event));
-  if (delta != nullptr && status.ok()) checkers_.OnCounted(job, unit);
+  if (run_->FilmsReset()) {
+    run_->host().Read([this](const Coordinator& c) { checkers_.OnReset(c); });
+  } else if (delta != nullptr && status.ok()) {
+    checkers_.OnCounted(job, unit);
+  }
   Settle();
 }
 

@@ -1,6 +1,7 @@
 #include "tests/sim/sim_worker.h"
 
 #include <chrono>
+#include <optional>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -40,6 +41,7 @@ void SimWorker::Start() {
   options.hello.set_memory_bytes(me_.memory_bytes);
   options.hello.set_version("sim");
   options.hello.add_isa_classes("x86-64-v3");
+  options.crash = std::exchange(crash_, std::nullopt);
   machine_ = std::make_unique<SessionMachine>(options);
   trace_("starts");
   Post(session_event::Start{});
@@ -174,12 +176,37 @@ void SimWorker::StartThreads() {
                                            (0.9 + 0.2 * random_.Uniform()));
     if (tasks_.at(id).cancelled) took_us = 0;
     took_us += std::exchange(hang_us_, 0);
+    tasks_.at(id).running = true;
     ++busy_;
     After(took_us, [this, id] { EndRender(id); });
   }
 }
 
+void SimWorker::Crash() {
+  v1::CrashReport report;
+  report.set_cause(v1::CrashReport::CAUSE_SIGNAL);
+  report.set_signal(11);
+  report.set_process_id(static_cast<int>(process_));
+  for (const auto& [id, task] : tasks_) {
+    if (!task.running || task.cancelled) continue;
+    v1::CrashReport::Unit& unit = *report.add_units();
+    unit.set_job(task.lease.job());
+    unit.set_tile_index(task.lease.tile_index());
+    unit.set_sample_begin(task.lease.sample_begin());
+    unit.set_sample_end(task.lease.sample_end());
+  }
+  crash_ = std::move(report);
+  Die(100 * kMs, false);
+}
+
 void SimWorker::EndRender(uint64_t id) {
+  const Task& ended = tasks_.at(id);
+  const bool is_poisoned = ended.settings.seed() == kPoisonSeed &&
+                           ended.lease.tile_index() == 1 && ended.lease.sample_begin() == 0;
+  if (is_poisoned && !ended.cancelled) {
+    trace_("crashes");
+    return Crash();
+  }
   const Task task = std::move(tasks_.at(id));
   tasks_.erase(id);
   --busy_;
@@ -187,7 +214,7 @@ void SimWorker::EndRender(uint64_t id) {
   if (task.cancelled) {
     rendered.delta = absl::CancelledError("cancelled");
   } else {
-    rendered.delta = SimRender(task.settings, task.lease);
+    rendered.delta = SimRender(task.settings, task.lease, random_.Chance(me_.lies));
   }
   Post(std::move(rendered));
   if (machine_ != nullptr) StartThreads();
@@ -204,7 +231,8 @@ void SimWorker::Apply(session_effect::Log& effect) {
 
 void SimWorker::Apply(session_effect::Finish& effect) {
   trace_(absl::StrCat("ends: ", effect.status.ToString()));
-  Die(restart_us_ + 100 * kMs, false);
+  // One that was refused is started again by its owner, now and then.
+  Die(effect.status.ok() ? restart_us_ + 100 * kMs : 20 * kSecond, false);
 }
 
 std::string SimWorker::BoundsBroken() const {

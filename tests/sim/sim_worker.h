@@ -45,7 +45,9 @@ class SimWorker {
     v1::JobSettings settings;
     v1::Lease lease;
     bool cancelled = false;
+    bool running = false;
   };
+
 
   void Post(SessionEvent event);
   void Step(SessionEvent event);
@@ -53,6 +55,7 @@ class SimWorker {
   void After(int64_t delay_us, std::function<void()> run);  // unless this process has died by then
   void StartThreads();
   void EndRender(uint64_t id);
+  void Crash();  // by a signal; what supervises it tells the server
 
   void Apply(session_effect::OpenStream&);
   void Apply(session_effect::Write& effect);
@@ -88,6 +91,7 @@ class SimWorker {
   std::map<uint64_t, Task> tasks_;
   int busy_ = 0;
   int64_t timer_us_ = -1;
+  std::optional<v1::CrashReport> crash_;  // of the run before this one
 };
 
 }  // namespace tessera

@@ -142,6 +142,7 @@ void SessionMachine::OnWelcome(const v1::Welcome& welcome) {
       welcome.has_heartbeat_interval() ? ToMilliseconds(welcome.heartbeat_interval()) : ttl / 3;
   heartbeat_interval_ = std::clamp(heartbeat_interval_, milliseconds(50), milliseconds(60000));
   heartbeat_time_ = now_ + heartbeat_interval_;
+  if (options_.crash) *control_.emplace_back().mutable_crash() = *options_.crash;
   LogLine(absl::StrCat("connected as ", welcome.worker()));
 }
 

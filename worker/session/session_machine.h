@@ -32,6 +32,7 @@ struct SessionOptions {
   int64_t memory_bytes = 0;      // of all scenes together; 0 = unlimited
   int connect_attempts_max = 0;  // 0 = for ever
   uint64_t jitter_seed = 0;
+  std::optional<v1::CrashReport> crash{};  // of the process before this one; told to each server
 };
 
 // How the building of a scene ended.

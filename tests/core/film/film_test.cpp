@@ -133,6 +133,20 @@ TEST(FilmTest, DroppingWhatWaitsKeepsTheDigest) {
   Deliver({1, {2, 4}}, &film);  // may come again
 }
 
+TEST(FilmTest, AResetTileStartsOverAndTheOthersStay) {
+  Film film(TileGrid({0, 0, 8, 4}, 4));
+  film.ResetTile(1);
+  Deliver({0, {0, 4}}, &film);
+  Deliver({1, {0, 4}}, &film);
+  const Sha256Digest digest = film.Digest();
+  film.ResetTile(1);
+  EXPECT_EQ(film.samples(), 4 * 16);
+  EXPECT_EQ(film.CommittedEnd(0), 4);
+  EXPECT_EQ(film.CommittedEnd(1), 0);
+  Deliver({1, {0, 4}}, &film);
+  EXPECT_EQ(film.Digest(), digest);
+}
+
 TEST(FilmTest, SiblingsJoinAsTheyArrive) {
   Film film(TileGrid({0, 0, 2, 2}, 2));
   Deliver({0, {4, 6}}, &film);

@@ -1,0 +1,277 @@
+// Units that crash workers, and workers that return wrong bits.
+//
+// A suspect, a unit that was being rendered when a worker crashed, is retried alone. When it has
+// crashed two workers that did nothing else, it is split; a half that crashes a third one is to
+// blame, and its job fails. Wherever there is a choice, another host tries. An audited unit counts
+// once two hosts have returned the same bits; who returned others is banned, and what it has added
+// to films without an audit is rendered again.
+#include <algorithm>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "server/coordinator/coordinator.h"
+#include "server/coordinator/coordinator_state.h"
+#include "server/coordinator/limits.h"
+#include "server/coordinator/worker_message.h"
+
+namespace tessera {
+namespace {
+
+constexpr int kCrashesBeforeSplit = 2;
+constexpr int kAuditScanMax = 64;
+constexpr size_t kBuildCrashesMax = 3;
+
+// SplitMix64's finaliser (Steele, Lea & Flood 2014).
+uint64_t Mix(uint64_t x) {
+  x += 0x9e3779b97f4a7c15u;
+  x = (x ^ (x >> 30)) * 0xbf58476d1ce4e5b9u;
+  x = (x ^ (x >> 27)) * 0x94d049bb133111ebu;
+  return x ^ (x >> 31);
+}
+
+std::string NameOf(const v1::CrashReport& report) {
+  if (report.cause() == v1::CrashReport::CAUSE_OUT_OF_MEMORY) return "out of memory";
+  return absl::StrCat("signal ", report.signal());
+}
+
+}  // namespace
+
+bool Coordinator::IsAudited(const Job& job, const Unit& unit) const {
+  if (config_.audit_rate <= 0) return false;
+  uint64_t hash = Mix(config_.audit_seed ^ job.id);
+  for (const int64_t number : {unit.tile, unit.range.begin, unit.range.end}) {
+    hash = Mix(hash ^ static_cast<uint64_t>(number));
+  }
+  return static_cast<double>(hash >> 11) * 0x1p-53 < config_.audit_rate;
+}
+
+// OK once two hosts agree on the unit; `liars` are then those who said otherwise.
+absl::Status Coordinator::Hear(Job& job, const Unit& unit, const std::string& host,
+                               const DeltaEvent& event, std::vector<std::string>* liars) {
+  std::vector<Testimony>& heard = job.audits[unit];
+  if (!job.queue->Claim(unit)) return absl::FailedPreconditionError("not asked for");
+  if (job.leases_of_unit.contains(unit) || job.suspects.contains(unit)) {
+    job.audits_waiting.erase(unit);
+  } else {
+    job.audits_waiting.insert(unit);
+  }
+  if (std::ranges::find(heard, host, &Testimony::host) != heard.end()) {
+    return absl::AlreadyExistsError(absl::StrCat(host, " has rendered this unit before"));
+  }
+  const Sha256Digest digest = event.digest ? *event.digest : TestimonyOf(event.tile);
+  if (std::ranges::find(heard, digest, &Testimony::digest) == heard.end()) {
+    heard.push_back({host, digest});
+    if (heard.size() >= kTestimoniesMax) {
+      Fail(job, absl::StrCat("tile ", unit.tile, ", samples [", unit.range.begin, ", ",
+                             unit.range.end, "): ", heard.size(), " hosts have rendered it and no "
+                             "two of them agree: check that all run the same build on sound "
+                             "hardware, then submit it again"));
+    }
+    return absl::AbortedError("another host must render the same samples before they count");
+  }
+  for (const Testimony& testimony : heard) {
+    if (testimony.digest != digest) liars->push_back(testimony.host);
+  }
+  return absl::OkStatus();
+}
+
+// A unit that waits for another host than those that have rendered it.
+std::optional<Unit> Coordinator::AuditFor(Job& job, const Worker& worker) {
+  int scanned = 0;
+  for (auto unit = job.audits_waiting.begin();
+       unit != job.audits_waiting.end() && scanned < kAuditScanMax; ++unit, ++scanned) {
+    const std::vector<Testimony>& heard = job.audits.at(*unit);
+    if (std::ranges::find(heard, worker.hello.host(), &Testimony::host) != heard.end()) continue;
+    const Unit found = *unit;
+    job.audits_waiting.erase(unit);
+    return found;
+  }
+  return std::nullopt;
+}
+
+void Coordinator::Ban(const std::string& host, const std::string& reason) {
+  if (banned_.size() >= kBannedHostsMax) return;
+  banned_.insert(host);
+  std::vector<SessionId> sessions;
+  for (const auto& [session, worker] : workers_) {
+    if (worker->hello.host() == host) sessions.push_back(session);
+  }
+  for (const SessionId session : sessions) {
+    result_.effects.emplace_back(
+        CloseSessionEffect{session, absl::PermissionDeniedError(reason)});
+    RemoveWorker(session);
+  }
+  for (const auto& [id, job] : jobs_) {
+    if (job->queue != nullptr) ResetTouched(*job, host);
+  }
+}
+
+// Whole tiles start over: their samples cannot be told apart any more. A job that has decided by
+// its picture's error starts over as a whole, as the decisions rested on that picture.
+void Coordinator::ResetTouched(Job& job, const std::string& host) {
+  const auto touched = job.rendered_by.find(host);
+  if (touched == job.rendered_by.end()) return;
+  std::set<int64_t> tiles;
+  for (const Unit& unit : touched->second) tiles.insert(unit.tile);
+  if (job.record.settings().target_error() > 0) {
+    for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) tiles.insert(tile);
+  }
+  StopWork(job);
+  for (const int64_t tile : tiles) {
+    job.film->ResetTile(tile);
+    if (!job.costs.empty()) job.costs[static_cast<size_t>(tile)] = {};
+    result_.effects.emplace_back(TileChangedEffect{job.id, tile});
+  }
+  job.rendered_by.erase(touched);
+  for (auto& [other, units] : job.rendered_by) {
+    std::erase_if(units, [&](const Unit& unit) { return tiles.contains(unit.tile); });
+  }
+  v1::JobProgress& progress = *job.record.mutable_progress();
+  progress.set_rays(0);
+  progress.set_delta_bytes(0);
+  progress.set_render_core_seconds(0);
+  for (const TileCost& cost : job.costs) AddCost(cost, &progress);
+  CountFilm(job);
+  job.audits.clear();
+  job.audits_waiting.clear();
+  job.suspects.clear();
+  job.evaluating = false;
+  job.stop_reason = v1::STOP_REASON_SPP;
+  job.first_merge_ms = 0;
+  StartQueue(job);
+  Touch(job);
+  Save(job, true);
+}
+
+void Coordinator::On(CrashEvent& event) {
+  Worker* const worker = FindWorker(event.session);
+  if (worker == nullptr) return;
+  v1::CrashReport& report = event.report;
+  if (report.units_size() > kCrashUnitsMax) {
+    CloseWorker(event.session, absl::InvalidArgumentError("crash: too many units"));
+    return;
+  }
+  const std::string host = worker->hello.host();
+  for (const v1::CrashReport::Unit& named : report.units()) {
+    const absl::StatusOr<JobId> id = ParseJobName(named.job());
+    const auto job = id.ok() ? jobs_.find(*id) : jobs_.end();
+    if (job == jobs_.end() || job->second->queue == nullptr) continue;
+    OnUnitCrashed(*job->second,
+                  {named.tile_index(), {named.sample_begin(), named.sample_end()}}, host, report);
+  }
+  const absl::StatusOr<JobId> built = ParseJobName(report.building_job());
+  const auto job = built.ok() ? jobs_.find(*built) : jobs_.end();
+  if (job == jobs_.end() || job->second->queue == nullptr) return;
+  job->second->build_crashes.insert({host, report.process_id()});
+  if (job->second->build_crashes.size() < kBuildCrashesMax) return;
+  Fail(*job->second,
+       absl::StrCat("building the scene has crashed ", kBuildCrashesMax, " workers (the last one: ",
+                    host, ", ", NameOf(report), "): the scene, or this version, has a fault; try "
+                    "it with 'tessera info', or workers with more memory"));
+}
+
+void Coordinator::OnUnitCrashed(Job& job, const Unit& unit, const std::string& host,
+                                const v1::CrashReport& report) {
+  if (!job.queue->Claim(unit)) return;  // somebody has rendered it
+  Suspect& suspect = job.suspects[unit];
+  suspicious_.insert(job.id);
+  if (!suspect.processes.insert({host, report.process_id()}).second) return;
+  suspect.hosts.insert(host);
+  if (report.units_size() != 1) return;
+  ++suspect.crashes_alone;
+  if (suspect.is_half || (unit.range.size() == 1 && suspect.crashes_alone > kCrashesBeforeSplit)) {
+    Convict(job, unit, host, report);
+  } else if (suspect.crashes_alone == kCrashesBeforeSplit && unit.range.size() > 1) {
+    DropLeasesOf(job, unit);
+    Suspect half = std::move(suspect);
+    half.is_half = true;
+    job.suspects.erase(unit);
+    job.audits.erase(unit);
+    job.audits_waiting.erase(unit);
+    for (const Unit& part : job.queue->Split(unit)) job.suspects[part] = half;
+  }
+}
+
+void Coordinator::Convict(Job& job, const Unit& unit, const std::string& host,
+                          const v1::CrashReport& report) {
+  const Suspect& suspect = job.suspects.at(unit);
+  Fail(job, absl::StrCat("tile ", unit.tile, ", samples [", unit.range.begin, ", ", unit.range.end,
+                         ") has crashed ", suspect.processes.size(), " workers on ",
+                         suspect.hosts.size(), " hosts (the last one: ", host, ", ",
+                         NameOf(report), "), also when rendered alone: the scene, or this version, "
+                         "has a fault there; report it, or leave those pixels out (--region)"));
+}
+
+// The idlest one that may; of another host than those that have crashed, where there is one.
+Coordinator::Worker* Coordinator::WorkerForSuspect(const Job& job,
+                                                   const std::set<std::string>& crash_hosts) {
+  Worker* best = nullptr;
+  bool best_is_new = false;
+  for (auto& [session, worker] : workers_) {
+    if (worker->is_alone || worker->reserved || IsSilent(*worker) || !CanServe(*worker, job)) {
+      continue;
+    }
+    const bool is_new = !crash_hosts.contains(worker->hello.host());
+    if (best != nullptr && best_is_new && !is_new) continue;
+    if (best == nullptr || is_new != best_is_new || worker->leases.size() < best->leases.size()) {
+      best = worker.get();
+      best_is_new = is_new;
+    }
+  }
+  return best;
+}
+
+// Suspects come first, each with a worker of its own; a busy one gets nothing more until idle.
+void Coordinator::GrantSuspects() {
+  if (suspicious_.empty()) return;
+  for (auto& [session, worker] : workers_) {
+    worker->reserved = false;
+    worker->is_alone = worker->is_alone && !worker->leases.empty();
+  }
+  for (auto id = suspicious_.begin(); id != suspicious_.end();) {
+    const auto found = jobs_.find(*id);
+    if (found == jobs_.end() || found->second->suspects.empty()) {
+      id = suspicious_.erase(id);
+      continue;
+    }
+    ++id;
+    Job& job = *found->second;
+    if (!job.IsOpen() || !FitsMemory(job)) continue;
+    for (const auto& [unit, suspect] : job.suspects) {
+      if (job.leases_of_unit.contains(unit)) continue;
+      std::set<std::string> hosts = suspect.hosts;
+      if (const auto audit = job.audits.find(unit); audit != job.audits.end()) {
+        for (const Testimony& testimony : audit->second) hosts.insert(testimony.host);
+      }
+      Worker* const worker = WorkerForSuspect(job, hosts);
+      if (worker == nullptr) break;
+      worker->reserved = true;
+      if (!worker->leases.empty()) continue;
+      worker->is_alone = true;
+      job.audits_waiting.erase(unit);
+      Grant(*worker, job, unit);
+    }
+  }
+  if (!suspicious_.empty()) return;
+  for (auto& [session, worker] : workers_) worker->is_alone = worker->reserved = false;
+}
+
+// No sample is wanted any more: nothing is to be blamed on anybody either.
+void Coordinator::CloseQueue(Job& job) {
+  job.queue.reset();
+  job.audits.clear();
+  job.audits_waiting.clear();
+  job.suspects.clear();
+  job.build_crashes.clear();
+  job.rendered_by.clear();
+}
+
+// Whether a unit that nobody renders any more stays out of the queue, for the rules above.
+bool Coordinator::KeepUnit(Job& job, const Unit& unit) {
+  const bool is_suspect = job.suspects.contains(unit);
+  const bool is_audited = job.audits.contains(unit);
+  if (is_audited && !is_suspect) job.audits_waiting.insert(unit);
+  return is_suspect || is_audited;
+}
+
+}  // namespace tessera
