@@ -23,8 +23,8 @@ std::string UnavailableLine(const grpc::Status& status, const Peer& peer) {
                         "): check --ca, --cert and --key, or drop them if it speaks plaintext");
   }
   return absl::StrCat("no server at ", peer.address,
-                      ": start one with tessera-server, give --ca if it speaks TLS, or drop --server to "
-                      "render here");
+                      ": start one with tessera-server, give --ca if it speaks TLS, or drop "
+                      "--server to render here");
 }
 
 }  // namespace

@@ -122,8 +122,8 @@ TEST_F(FarmClientTest, GivesUpOnAServerThatWasNeverReached) {
   EXPECT_TRUE(absl::IsUnavailable(job.status()));
   EXPECT_EQ(calls, RetryOptions().first_contact_attempts);
   EXPECT_EQ(job.status().message(),
-            "no server at farm:4242: start one with tessera-server, or drop --server to render "
-            "here");
+            "no server at farm:4242: start one with tessera-server, give --ca if it speaks TLS, or "
+            "drop --server to render here");
 }
 
 TEST_F(FarmClientTest, IsMorePatientWithAServerThatHasAnswered) {

@@ -112,7 +112,8 @@ int Main(int argc, char** argv) {
   sigemptyset(&signals);
   sigaddset(&signals, SIGTERM);
   sigaddset(&signals, SIGINT);
-  pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // before any thread exists: credentials start some
+  // Before any thread exists; reading credentials starts some.
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   Flags flags;
   bool run = false;
   const int code = ParseFlags(argc, argv, &flags, &run);
