@@ -33,8 +33,10 @@ absl::Status RunFetch(const FetchFlags& flags) {
   InterruptScope interrupt;
   const absl::StatusOr<v1::Job> job = (*client)->GetJob(*name);
   if (!job.ok()) return job.status();
-  const absl::StatusOr<std::vector<std::string>> paths =
-      FetchAndWrite(**client, *job, *plan, region, /*wait_for_filter=*/true, interrupt.token());
+  // Of a running job a preview: whoever looks now does not want to wait for the job's filter.
+  const absl::StatusOr<std::vector<std::string>> paths = FetchAndWrite(
+      **client, *job, *plan, region, /*wait_for_filter=*/IsTerminal(job->state()),
+      interrupt.token());
   if (!paths.ok()) return paths.status();
   if (flags.json) {
     nlohmann::ordered_json json = JobJson(*job);
