@@ -91,9 +91,7 @@ def main() -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     print("| view | relMSE before | after | ratio | CPU time ratio | rays/sample before | after "
           "| efficiency | Z |\n|---|---|---|---|---|---|---|---|---|")
-    for view in views.VIEWS:
-        if view.name not in args.views.split(","):
-            continue
+    for view in views.chosen(args.views, args.scenes):
         before = Build("before", args.before, args, view)
         after = Build("after", args.after, args, view)
         for seed in range(args.seeds):

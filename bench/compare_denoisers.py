@@ -134,19 +134,6 @@ def chosen_filters(args) -> list:
     return filters
 
 
-def chosen_views(args) -> list:
-    names = args.views.split(",") if args.views else None
-    found = []
-    for view in views.VIEWS:
-        if names and view.name not in names:
-            continue
-        if not view.own and args.scenes is None:
-            print(f"{view.name}: left out, --scenes is not given", file=sys.stderr)
-            continue
-        found.append(view)
-    return found
-
-
 class Films:
     """The renders of one view, made when they are asked for."""
 
@@ -227,7 +214,7 @@ def print_table(args, filters: list, counts: list[int]) -> None:
     print("| view | samples | " + " | ".join(names) + " |")
     print("|---|---|" + "---|" * len(names))
     logs = {name: [[] for _ in counts] for name in names}
-    for view in chosen_views(args):
+    for view in views.chosen(args.views, args.scenes):
         multipliers = measure(view, args, filters, counts)
         for i, n in enumerate(counts):
             row = [multipliers[name][i] for name in names]

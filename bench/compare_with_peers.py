@@ -42,19 +42,6 @@ def parse_arguments() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def chosen_views(args) -> list:
-    names = args.views.split(",") if args.views else None
-    found = []
-    for view in views.VIEWS:
-        if names and view.name not in names:
-            continue
-        if not view.own and args.scenes is None:
-            print(f"{view.name}: left out, --scenes is not given", file=sys.stderr)
-            continue
-        found.append(view)
-    return found
-
-
 class Measurement:
     """The renders of one view by one renderer."""
 
@@ -125,7 +112,7 @@ def compare(args, frame: renderers.Frame) -> None:
               "tessera alone is measured", file=sys.stderr)
     ours_renderer = renderers.Tessera(args.build / "bin" / "tessera")
     print(HEADER, flush=True)
-    for view in chosen_views(args):
+    for view in views.chosen(args.views, args.scenes):
         scene = views.scene_path(view, args.scenes, args.build / "scenes")
         ours = Measurement(ours_renderer, view, scene, frame, args)
         pair = [ours]

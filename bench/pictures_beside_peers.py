@@ -115,12 +115,9 @@ def main() -> int:
     args = parse_arguments()
     for folder in (args.work, args.out):
         folder.mkdir(parents=True, exist_ok=True)
-    names = args.views.split(",") if args.views else None
     print("| view | brightness over Cycles' | R | G | B | ratio of pixels, quartiles |")
     print("|---|---|---|---|---|---|", flush=True)
-    for view in views.VIEWS:
-        if (names and view.name not in names) or (not view.own and args.scenes is None):
-            continue
+    for view in views.chosen(args.views, args.scenes):
         ours, theirs = pair_of(view, args)
         if ours is None:
             print(f"{view.name}: left out, no picture by Cycles", file=sys.stderr)

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import pathlib
 import struct
+import sys
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,6 +36,23 @@ VIEWS = (
     View("wires", "wires.glb", sky=1, own=True),
     View("still_life", "still_life.glb", own=True),
 )
+
+
+def chosen(names: str | None, folder: pathlib.Path | None) -> list[View]:
+    """The views that are named, comma-separated; all without names.
+
+    Those of other people's files are left out where `folder` is not given, which is said.
+    """
+    wanted = names.split(",") if names else [view.name for view in VIEWS]
+    found = []
+    for view in VIEWS:
+        if view.name not in wanted:
+            continue
+        if not view.own and folder is None:
+            print(f"{view.name}: left out, --scenes is not given", file=sys.stderr)
+            continue
+        found.append(view)
+    return found
 
 
 def scene_path(view: View, folder: pathlib.Path, own_folder: pathlib.Path) -> pathlib.Path:

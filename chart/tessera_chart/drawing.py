@@ -129,38 +129,47 @@ def draw_scene(by_method: dict, title: str, floor: float, path: pathlib.Path,
     save(figure, path, png)
 
 
+SCENES_A_LINE = 3  # of a scene_grid: as many as a page shows legibly
+
+
+def scene_grid(scenes: list[str], sharey: bool):
+    """A figure of small charts, one a scene: the figure, and the charts in the scenes' order."""
+    columns = min(SCENES_A_LINE, len(scenes))
+    lines = -(-len(scenes) // columns)
+    figure, grid = pyplot.subplots(lines, columns, figsize=(1.6 + 3.3 * columns, 0.5 + 2.8 * lines),
+                                   squeeze=False, sharey=sharey)
+    charts = [axes for line in grid for axes in line]
+    for axes in charts[len(scenes):]:
+        axes.set_visible(False)
+    return figure, charts[:len(scenes)]
+
+
+def finish_grid(figure, charts: list, x_text: str, y_text: str) -> None:
+    """The outer labels and the legend of a scene_grid."""
+    columns = min(SCENES_A_LINE, len(charts))
+    for axes in charts[len(charts) - columns:]:
+        axes.set_xlabel(x_text)
+    for axes in charts[::columns]:
+        axes.set_ylabel(y_text)
+    figure.tight_layout(rect=(0, 0, 0.99, 1))
+    shared_legend(figure, charts, loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
 def draw_main(rows: list[dict], scenes: list[str], floors: dict, path: pathlib.Path,
               png: bool = True) -> None:
     """relMSE against CPU seconds, one small chart a scene."""
-    columns = min(3, len(scenes))
-    lines = -(-len(scenes) // columns)
-    figure, grid = pyplot.subplots(lines, columns, figsize=(1.6 + 3.3 * columns, 0.5 + 2.8 * lines),
-                                   squeeze=False)
-    used = [a for line in grid for a in line]
-    for axes in used[len(scenes):]:
-        axes.set_visible(False)
+    figure, used = scene_grid(scenes, sharey=False)
     for axes, scene in zip(used, scenes):
         draw_curves(axes, results.means_of(rows, scene), "total_cpu_s", "rel_mse", floors[scene])
         axes.set_title(scene, fontsize=10)
-    for axes in used[max(0, len(scenes) - columns):len(scenes)]:
-        axes.set_xlabel("CPU seconds, render + filter")
-    for line in grid:
-        line[0].set_ylabel("relMSE")
-    figure.tight_layout(rect=(0, 0, 0.99, 1))
-    shared_legend(figure, used[:len(scenes)], loc="center left", bbox_to_anchor=(1.0, 0.5))
+    finish_grid(figure, used, "CPU seconds, render + filter", "relMSE")
     save(figure, path, png)
 
 
 def draw_multipliers(rows: list[dict], scenes: list[str], path: pathlib.Path,
                      png: bool = True) -> None:
     """Equivalent samples against samples; above 1 a filter is worth its name."""
-    columns = min(3, len(scenes))
-    lines = -(-len(scenes) // columns)
-    figure, grid = pyplot.subplots(lines, columns, figsize=(1.6 + 3.3 * columns, 0.5 + 2.8 * lines),
-                                   squeeze=False, sharey=True)
-    used = [a for line in grid for a in line]
-    for axes in used[len(scenes):]:
-        axes.set_visible(False)
+    figure, used = scene_grid(scenes, sharey=True)
     for axes, scene in zip(used, scenes):
         found: dict[str, list] = {}
         for method, spp, times in results.multipliers(results.means_of(rows, scene)):
@@ -172,10 +181,5 @@ def draw_multipliers(rows: list[dict], scenes: list[str], path: pathlib.Path,
                      label="the talk's claim: 4")
         log_axes(axes)
         axes.set_title(scene, fontsize=10)
-    for axes in used[max(0, len(scenes) - columns):len(scenes)]:
-        axes.set_xlabel("samples per pixel")
-    for line in grid:
-        line[0].set_ylabel("equivalent samples / samples")
-    figure.tight_layout(rect=(0, 0, 0.99, 1))
-    shared_legend(figure, used[:len(scenes)], loc="center left", bbox_to_anchor=(1.0, 0.5))
+    finish_grid(figure, used, "samples per pixel", "equivalent samples / samples")
     save(figure, path, png)
