@@ -96,6 +96,7 @@ std::vector<v1::Worker> Coordinator::ListWorkers(Instant now) const {
                                  static_cast<double>(age_ms));
     }
     out.set_draining(worker->draining);
+    out.set_crashes(worker->hello.crashes_size());
   }
   return workers;
 }

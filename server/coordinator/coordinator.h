@@ -109,7 +109,6 @@ class Coordinator {
   void On(DeclineEvent& event);
   void On(SceneReadyEvent& event);
   void On(SceneFailureEvent& event);
-  void On(CrashEvent& event);
   void On(DrainEvent& event);
   void On(PictureEvent& event);
   void On(JobFinishedEvent& event);
@@ -154,6 +153,7 @@ class Coordinator {
                     std::vector<std::string>* liars);
   void Ban(const std::string& host, const std::string& reason);
   void ResetTouched(Job& job, const std::string& host);
+  void OnCrash(const std::string& host, const v1::CrashReport& report);
   void OnUnitCrashed(Job& job, const Unit& unit, const std::string& host,
                      const v1::CrashReport& report);
   void Convict(Job& job, const Unit& unit, const std::string& host, const v1::CrashReport& report);

@@ -26,6 +26,13 @@ absl::Status CheckHello(const v1::Hello& hello, const std::string& version) {
         absl::StrCat("hello: threads must be 1 to ", kWorkerThreadsMax,
                      ", memory_bytes at least 0, host at most ", kHostBytesMax, " bytes long"));
   }
+  const bool has_too_many_units = std::ranges::any_of(hello.crashes(), [](const auto& crash) {
+    return crash.units_size() > kCrashUnitsMax;
+  });
+  if (hello.crashes_size() > kCrashesMax || has_too_many_units) {
+    return absl::InvalidArgumentError(absl::StrCat("hello: at most ", kCrashesMax, " crashes of ",
+                                                   kCrashUnitsMax, " units each"));
+  }
   return absl::OkStatus();
 }
 
@@ -97,8 +104,9 @@ void Coordinator::On(WorkerConnectedEvent& event) {
   *welcome.mutable_lease_ttl() = DurationOfMs(config_.lease_ttl_ms);
   *welcome.mutable_heartbeat_interval() =
       DurationOfMs(std::max<int64_t>(1, config_.lease_ttl_ms / 4));
-  workers_.emplace(event.session, std::move(worker));
+  const v1::Hello& hello = workers_.emplace(event.session, std::move(worker)).first->second->hello;
   Send(event.session, std::move(message));
+  for (const v1::CrashReport& crash : hello.crashes()) OnCrash(hello.host(), crash);
   waiting_changed_ = true;
 }
 
@@ -106,7 +114,8 @@ void Coordinator::On(WorkerGoneEvent& event) { RemoveWorker(event.session); }
 
 void Coordinator::On(HeartbeatEvent& event) {
   if (FindWorker(event.session) == nullptr) return;
-  for (const LeaseId id : event.leases) {
+  for (const v1::LeaseProgress& progress : event.leases) {
+    const LeaseId id = progress.id();
     const auto it = leases_.find(id);
     if (it == leases_.end() || it->second.session != event.session) continue;
     expiries_.erase({it->second.expires_ms, id});

@@ -143,15 +143,7 @@ void Coordinator::ResetTouched(Job& job, const std::string& host) {
   Save(job, true);
 }
 
-void Coordinator::On(CrashEvent& event) {
-  Worker* const worker = FindWorker(event.session);
-  if (worker == nullptr) return;
-  v1::CrashReport& report = event.report;
-  if (report.units_size() > kCrashUnitsMax) {
-    CloseWorker(event.session, absl::InvalidArgumentError("crash: too many units"));
-    return;
-  }
-  const std::string host = worker->hello.host();
+void Coordinator::OnCrash(const std::string& host, const v1::CrashReport& report) {
   for (const v1::CrashReport::Unit& named : report.units()) {
     const absl::StatusOr<JobId> id = ParseJobName(named.job());
     const auto job = id.ok() ? jobs_.find(*id) : jobs_.end();

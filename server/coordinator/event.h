@@ -74,7 +74,7 @@ struct DeltaEvent {
 };
 struct HeartbeatEvent {
   SessionId session = 0;
-  std::vector<LeaseId> leases;
+  std::vector<v1::LeaseProgress> leases{};
 };
 struct DeclineEvent {
   SessionId session = 0;
@@ -87,10 +87,6 @@ struct SceneReadyEvent {
 struct SceneFailureEvent {
   SessionId session = 0;
   v1::SceneFailure failure;
-};
-struct CrashEvent {
-  SessionId session = 0;  // of the process that came after the one that crashed
-  v1::CrashReport report;
 };
 struct DrainEvent {
   SessionId session = 0;
@@ -114,7 +110,7 @@ struct TickEvent {};
 using Event =
     std::variant<CreateJobEvent, JobCommandEvent, RestoreJobEvent, FilmStoredEvent,
                  WorkerConnectedEvent, WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
-                 SceneReadyEvent, SceneFailureEvent, CrashEvent, DrainEvent, PictureEvent,
-                 JobFinishedEvent, TickEvent>;
+                 SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent,
+                 TickEvent>;
 
 }  // namespace tessera

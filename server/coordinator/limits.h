@@ -39,6 +39,7 @@ inline constexpr int kOpenStagesMax = 8;
 inline constexpr size_t kAuditsMax = 4096;
 // Hosts that render a unit before it is clear that no two of them agree.
 inline constexpr size_t kTestimoniesMax = 7;
+inline constexpr int kCrashesMax = 16;  // that one worker reports
 inline constexpr int kCrashUnitsMax = kWorkerThreadsMax;  // that one crash may be blamed on
 inline constexpr size_t kBannedHostsMax = 4096;
 

@@ -68,8 +68,6 @@ absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message, boo
       return SceneFailureEvent{session, std::move(*message.mutable_scene_failure())};
     case v1::WorkerMessage::kDrain:
       return DrainEvent{session};
-    case v1::WorkerMessage::kCrash:
-      return CrashEvent{session, std::move(*message.mutable_crash())};
     case v1::WorkerMessage::MESSAGE_NOT_SET:
       break;
   }

@@ -198,7 +198,7 @@ TEST_F(FarmFaults, RogueWorkersLeaveOtherJobsAlone) {
   {
     RogueWorker rogue(client_);  // speaks before its hello
     v1::WorkerMessage message;
-    message.mutable_heartbeat()->add_leases(1);
+    message.mutable_heartbeat()->add_leases()->set_id(1);
     rogue.Write(message);
     EXPECT_NE(rogue.End(), grpc::StatusCode::OK);
   }

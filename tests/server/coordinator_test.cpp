@@ -144,14 +144,13 @@ TEST(Coordinator, HeartbeatsKeepLeases) {
   SimulatedFarm farm;
   farm.Create(SmallSettings(2));
   const SessionId worker = farm.Connect(8);
-  std::vector<LeaseId> ids;
-  for (const v1::Lease& lease : farm.workers[worker].leases) ids.push_back(lease.id());
+  const std::deque<v1::Lease> leases = farm.workers[worker].leases;
   for (int i = 0; i < 10; ++i) {
     farm.now_ms += 900;
-    farm.Post(HeartbeatEvent{worker, ids});
+    farm.Heartbeat(worker, 100 * (i + 1));
   }
-  EXPECT_EQ(farm.workers[worker].leases.size(), ids.size());
-  EXPECT_EQ(farm.workers[worker].leases.front().id(), ids.front());
+  EXPECT_EQ(farm.workers[worker].leases.size(), leases.size());
+  EXPECT_EQ(farm.workers[worker].leases.front().id(), leases.front().id());
 }
 
 TEST(Coordinator, WhatASilentWorkerLetExpireGoesToAnother) {

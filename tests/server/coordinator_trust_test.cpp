@@ -11,23 +11,19 @@ using testing::HasSubstr;
 
 // The next process of a session's host says that it crashed amid all its leases, or some.
 SessionId Crash(SimulatedFarm& farm, SessionId session, const std::vector<v1::Lease>& rendering) {
-  const std::string host = absl::StrCat("host", session);
-  CrashEvent crash;
-  crash.report.set_cause(v1::CrashReport::CAUSE_SIGNAL);
-  crash.report.set_signal(11);
-  crash.report.set_process_id(static_cast<int>(session));
+  v1::CrashReport crash;
+  crash.set_cause(v1::CrashReport::CAUSE_SIGNAL);
+  crash.set_signal(11);
+  crash.set_process_id(static_cast<int>(session));
   for (const v1::Lease& lease : rendering) {
-    v1::CrashReport::Unit& unit = *crash.report.add_units();
+    v1::CrashReport::Unit& unit = *crash.add_units();
     unit.set_job(lease.job());
     unit.set_tile_index(lease.tile_index());
     unit.set_sample_begin(lease.sample_begin());
     unit.set_sample_end(lease.sample_end());
   }
   farm.Disconnect(session);
-  crash.session = farm.Connect(2, host);
-  const SessionId next = crash.session;
-  farm.Post(std::move(crash));
-  return next;
+  return farm.ConnectAfter(crash, absl::StrCat("host", session));
 }
 
 // Everybody crashes who renders sample 0 of tile 0. Returns how many did.
@@ -70,21 +66,10 @@ TEST(CoordinatorTrust, AUnitThatCrashesWorkersIsRetriedAloneThenSplitThenFailsIt
 TEST(CoordinatorTrust, ASuspectHasAWorkerOfItsOwn) {
   SimulatedFarm farm;
   farm.Create(SmallSettings());
-  const SessionId session = farm.Connect();
   const SessionId crashed = farm.Connect();
   const auto& lost = farm.workers[crashed].leases;
   const std::vector<v1::Lease> suspects(lost.begin(), lost.begin() + 2);
-  CrashEvent crash{.session = session};
-  crash.report.set_process_id(77);
-  for (const v1::Lease& lease : suspects) {
-    v1::CrashReport::Unit& unit = *crash.report.add_units();
-    unit.set_job(lease.job());
-    unit.set_tile_index(lease.tile_index());
-    unit.set_sample_begin(lease.sample_begin());
-    unit.set_sample_end(lease.sample_end());
-  }
-  farm.Post(std::move(crash));
-  farm.Disconnect(crashed);
+  const SessionId session = Crash(farm, crashed, suspects);
   size_t alone = 0;
   while (!farm.workers[session].leases.empty()) {
     const v1::Lease& lease = farm.workers[session].leases.front();
@@ -114,13 +99,13 @@ TEST(CoordinatorTrust, WorkersThatVanishNeverCount) {
 TEST(CoordinatorTrust, AReportThatIsRepeatedCountsOnce) {
   SimulatedFarm farm;
   farm.Create(SmallSettings());
-  const SessionId session = farm.Connect();
-  CrashEvent crash{.session = session};
-  crash.report.set_process_id(77);
-  v1::CrashReport::Unit& unit = *crash.report.add_units();
+  farm.Connect();
+  v1::CrashReport crash;
+  crash.set_process_id(77);
+  v1::CrashReport::Unit& unit = *crash.add_units();
   unit.set_job("jobs/1");
   unit.set_sample_end(2);
-  for (int i = 0; i < 10; ++i) farm.Post(CrashEvent(crash));
+  for (int i = 0; i < 10; ++i) farm.Disconnect(farm.ConnectAfter(crash, "host77"));
   farm.RunAll();
   EXPECT_EQ(farm.Job(1).digest(), ExpectedDigest(SmallSettings(), 16));
 }
@@ -130,10 +115,10 @@ TEST(CoordinatorTrust, ASceneThatCrashesItsBuildersFailsItsJob) {
   farm.Create(SmallSettings());
   for (int i = 0; i < 3; ++i) {
     EXPECT_NE(farm.Job(1).state(), v1::JOB_STATE_FAILED);
-    CrashEvent crash{.session = farm.Connect()};
-    crash.report.set_process_id(i);
-    crash.report.set_building_job("jobs/1");
-    farm.Post(std::move(crash));
+    v1::CrashReport crash;
+    crash.set_process_id(i);
+    crash.set_building_job("jobs/1");
+    farm.ConnectAfter(crash, "host1");
   }
   EXPECT_EQ(farm.Job(1).state(), v1::JOB_STATE_FAILED);
   EXPECT_THAT(farm.Job(1).error(), HasSubstr("building the scene has crashed"));

@@ -97,9 +97,29 @@ class SimulatedFarm {
     Post(WorkerConnectedEvent{session, std::move(hello)});
     return session;
   }
+  // As Connect, of the process that follows one that crashed.
+  SessionId ConnectAfter(const v1::CrashReport& crash, const std::string& host, int threads = 2) {
+    const SessionId session = next_session++;
+    v1::Hello hello = MakeHello(host, threads);
+    *hello.add_crashes() = crash;
+    Post(WorkerConnectedEvent{session, std::move(hello)});
+    return session;
+  }
   void Disconnect(SessionId session) {
     workers.erase(session);
     Post(WorkerGoneEvent{session});
+  }
+
+  // The worker renders all its leases, and has done so many samples of each.
+  void Heartbeat(SessionId session, int64_t samples) {
+    HeartbeatEvent event{session};
+    for (const v1::Lease& lease : workers[session].leases) {
+      v1::LeaseProgress& progress = event.leases.emplace_back();
+      progress.set_id(lease.id());
+      progress.set_state(v1::LeaseProgress::STATE_RENDERING);
+      progress.set_samples(samples);
+    }
+    Post(std::move(event));
   }
 
   // What the worker sends once it has rendered the lease.

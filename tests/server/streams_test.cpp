@@ -110,7 +110,7 @@ TEST(WorkerSessions, AnEndedStreamGoesThoughItsWorkerDoesNotRead) {
   down.mutable_forget()->set_job(std::string(1 << 20, 'x'));
   for (int i = 0; i < 3; ++i) sessions.Send(session, down);
   sessions.End(session, absl::InvalidArgumentError("a reason"));
-  message.mutable_heartbeat()->add_leases(1);
+  message.mutable_heartbeat()->add_leases()->set_id(1);
   stream->Write(message);
   sessions.Pump(Now().monotonic_ms + 60000);
   gone.get_future().wait();

@@ -41,7 +41,7 @@ void SimWorker::Start() {
   options.hello.set_memory_bytes(me_.memory_bytes);
   options.hello.set_version("sim");
   options.hello.add_isa_classes("x86-64-v3");
-  options.crash = std::exchange(crash_, std::nullopt);
+  if (crash_) *options.hello.add_crashes() = *std::exchange(crash_, std::nullopt);
   machine_ = std::make_unique<SessionMachine>(options);
   trace_("starts");
   Post(session_event::Start{});

@@ -118,8 +118,14 @@ class TileFolder {
 // two, as is kSamplesMax: the queue holds some of one pixel's or all of several pixels'.
 class PathQueue {
  public:
-  PathQueue(const PathWalker& walker, uint64_t seed, TileStatistics* tile)
-      : walker_(walker), seed_(seed), feature_end_(tile->feature_end()), tile_(tile) {}
+  // samples_done: as RenderCounters.
+  PathQueue(const PathWalker& walker, uint64_t seed, TileStatistics* tile,
+            std::atomic<int64_t>* samples_done)
+      : walker_(walker),
+        seed_(seed),
+        feature_end_(tile->feature_end()),
+        samples_done_(samples_done),
+        tile_(tile) {}
 
   // Begins a pixel, whose samples follow.
   void BeginPixel(int x, int y) {
@@ -142,6 +148,7 @@ class PathQueue {
     const auto count = static_cast<size_t>(num_paths_);
     walker_.Trace({requests_.data(), count}, {samples_.data(), count}, &rays_);
     for (int i = 0; i < num_paths_; ++i) tile_.Add(&samples_[i]);
+    if (samples_done_ != nullptr) samples_done_->fetch_add(num_paths_, std::memory_order_relaxed);
     num_paths_ = 0;
   }
 
@@ -151,6 +158,7 @@ class PathQueue {
   const PathWalker& walker_;
   const uint64_t seed_;
   const int64_t feature_end_;
+  std::atomic<int64_t>* const samples_done_;
   TileFolder tile_;
   int x_ = 0, y_ = 0, pixel_ = 0;
   int num_paths_ = 0;
@@ -170,7 +178,8 @@ absl::StatusOr<TileStatistics> PathTracer::Render(const PixelRect& window, Sampl
         absl::StrCat("samples [", node.begin, ", ", node.end, ") are no node of the folding tree"));
   }
   TileStatistics tile(window, node, impl_->settings.feature_end);
-  PathQueue queue(*impl_->walker, impl_->settings.seed, &tile);
+  PathQueue queue(*impl_->walker, impl_->settings.seed, &tile,
+                  counters != nullptr ? counters->samples_done : nullptr);
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
       if (cancel != nullptr && cancel->load(std::memory_order_relaxed)) {

@@ -31,6 +31,8 @@ struct RenderCounters {
   int64_t samples = 0;
   int64_t rays = 0;  // Embree queries, shadow rays included
   int64_t non_finite = 0;
+  // Raised while samples are done, for those who watch from other threads; null = nobody does.
+  std::atomic<int64_t>* samples_done = nullptr;
 };
 
 class PathTracer {

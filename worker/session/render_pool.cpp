@@ -50,6 +50,12 @@ void RenderPool::Cancel(uint64_t id) {
   if (const auto task = alive_.find(id); task != alive_.end()) task->second->cancelled = true;
 }
 
+int64_t RenderPool::SamplesOf(uint64_t id) const {
+  std::lock_guard lock(mu_);
+  const auto task = alive_.find(id);
+  return task == alive_.end() ? 0 : task->second->samples_done.load(std::memory_order_relaxed);
+}
+
 void RenderPool::Run() {
   while (true) {
     std::shared_ptr<Task> task;
@@ -69,7 +75,7 @@ void RenderPool::Run() {
   }
 }
 
-absl::StatusOr<v1::TileDelta> RenderPool::Render(const Task& task) const {
+absl::StatusOr<v1::TileDelta> RenderPool::Render(Task& task) const {
   if (task.cancelled) return absl::CancelledError("cancelled before it began");
   const v1::Region& region = task.lease.window();
   const PixelRect window =
@@ -78,6 +84,7 @@ absl::StatusOr<v1::TileDelta> RenderPool::Render(const Task& task) const {
 
   const int64_t begin = ThreadNanoseconds();
   RenderCounters counters;
+  counters.samples_done = &task.samples_done;
   const absl::StatusOr<TileStatistics> tile =
       task.renderer->Render(window, range, &task.cancelled, &counters);
   if (!tile.ok()) return tile.status();

@@ -32,6 +32,8 @@ class RenderPool {
   void Start(uint64_t task, std::shared_ptr<const Renderer> renderer, const v1::Lease& lease);
   // The task ends with CANCELLED, or with its delta when it was faster.
   void Cancel(uint64_t task);
+  // The camera samples that the task has done so far; 0 once it has ended.
+  int64_t SamplesOf(uint64_t task) const;
 
  private:
   struct Task {
@@ -39,13 +41,14 @@ class RenderPool {
     std::shared_ptr<const Renderer> renderer;  // shared with the cache: may be dropped from it
     v1::Lease lease;
     std::atomic<bool> cancelled = false;
+    std::atomic<int64_t> samples_done = 0;
   };
   void Run();
-  absl::StatusOr<v1::TileDelta> Render(const Task& task) const;
+  absl::StatusOr<v1::TileDelta> Render(Task& task) const;
 
   const DeltaEncoding encoding_;
   const Done done_;
-  std::mutex mu_;
+  mutable std::mutex mu_;
   std::condition_variable cv_;
   std::deque<std::shared_ptr<Task>> queue_;          // guarded by mu_
   std::map<uint64_t, std::shared_ptr<Task>> alive_;  // guarded by mu_; queued and running

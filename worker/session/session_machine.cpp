@@ -142,7 +142,6 @@ void SessionMachine::OnWelcome(const v1::Welcome& welcome) {
       welcome.has_heartbeat_interval() ? ToMilliseconds(welcome.heartbeat_interval()) : ttl / 3;
   heartbeat_interval_ = std::clamp(heartbeat_interval_, milliseconds(50), milliseconds(60000));
   heartbeat_time_ = now_ + heartbeat_interval_;
-  if (options_.crash) *control_.emplace_back().mutable_crash() = *options_.crash;
   LogLine(absl::StrCat("connected as ", welcome.worker()));
 }
 
@@ -370,7 +369,7 @@ void SessionMachine::WriteNext() {
     message = std::move(control_.front());
     control_.pop_front();
     if (message.has_heartbeat()) {
-      for (const auto& [id, held] : leases_) message.mutable_heartbeat()->add_leases(id);
+      FillHeartbeat(message.mutable_heartbeat());
     }
   } else if (!deltas_.empty() && phase_ == Phase::kServing) {
     message = std::move(deltas_.front());
@@ -381,6 +380,24 @@ void SessionMachine::WriteNext() {
   }
   write_in_flight_ = true;
   Emit(Write{std::move(message)});
+}
+
+void SessionMachine::FillHeartbeat(v1::Heartbeat* heartbeat) const {
+  for (const auto& [id, held] : leases_) {
+    v1::LeaseProgress& progress = *heartbeat->add_leases();
+    progress.set_id(id);
+    const auto scene = scenes_.find(held.scene);
+    if (held.rendered) {
+      progress.set_state(v1::LeaseProgress::STATE_SENDING);
+    } else if (held.task != 0) {
+      progress.set_state(v1::LeaseProgress::STATE_RENDERING);
+      if (options_.samples_of) progress.set_samples(options_.samples_of(held.task));
+    } else if (scene != scenes_.end() && scene->second.state == SceneEntry::State::kReady) {
+      progress.set_state(v1::LeaseProgress::STATE_WAITING);
+    } else {
+      progress.set_state(v1::LeaseProgress::STATE_BUILDING);
+    }
+  }
 }
 
 void SessionMachine::FinishDrain() {

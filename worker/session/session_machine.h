@@ -10,6 +10,7 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <map>
 #include <optional>
 #include <set>
@@ -32,7 +33,8 @@ struct SessionOptions {
   int64_t memory_bytes = 0;      // of all scenes together; 0 = unlimited
   int connect_attempts_max = 0;  // 0 = for ever
   uint64_t jitter_seed = 0;
-  std::optional<v1::CrashReport> crash{};  // of the process before this one; told to each server
+  // The camera samples that a task has done so far, for heartbeats; null = nobody counts them.
+  std::function<int64_t(uint64_t task)> samples_of{};
 };
 
 // How the building of a scene ended.
@@ -199,6 +201,7 @@ class SessionMachine {
   void Advance();
   void StartRenders();
   void WriteNext();
+  void FillHeartbeat(v1::Heartbeat* heartbeat) const;
   void FinishDrain();
 
   void Connect();

@@ -35,8 +35,10 @@ uint64_t JitterSeed() {
          static_cast<uint64_t>(std::chrono::steady_clock::now().time_since_epoch().count());
 }
 
-SessionOptions MachineOptions(const WorkerOptions& options, uint64_t jitter_seed) {
+SessionOptions MachineOptions(const WorkerOptions& options, uint64_t jitter_seed,
+                              std::function<int64_t(uint64_t)> samples_of) {
   SessionOptions session;
+  session.samples_of = std::move(samples_of);
   session.threads = options.threads;
   session.memory_bytes = options.memory_bytes;
   session.connect_attempts_max = options.connect_attempts_max;
@@ -62,7 +64,8 @@ class WorkerSession::Impl {
         stub_(v1::WorkerService::NewStub(channel)),
         factory_(std::move(factory)),
         fetcher_(channel, options_.cache_bytes, jitter_seed_),
-        machine_(MachineOptions(options_, jitter_seed_)) {}
+        machine_(MachineOptions(options_, jitter_seed_,
+                                [this](uint64_t task) { return pool_->SamplesOf(task); })) {}
 
   absl::Status Run();
 

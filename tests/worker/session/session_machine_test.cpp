@@ -64,7 +64,16 @@ TEST(SessionMachine, HeartbeatsNameAllLeasesThatAreHeld) {
   d.Advance(seconds(3));
   ASSERT_THAT(d.sent, SizeIs(1));
   ASSERT_TRUE(d.sent[0].has_heartbeat());
-  EXPECT_THAT(d.sent[0].heartbeat().leases(), ElementsAre(2u, 3u, 4u));
+  std::vector<uint64_t> ids;
+  std::vector<v1::LeaseProgress::State> states;
+  for (const v1::LeaseProgress& progress : d.sent[0].heartbeat().leases()) {
+    ids.push_back(progress.id());
+    states.push_back(progress.state());
+  }
+  EXPECT_THAT(ids, ElementsAre(2u, 3u, 4u));
+  EXPECT_THAT(states, ElementsAre(v1::LeaseProgress::STATE_RENDERING,
+                                  v1::LeaseProgress::STATE_RENDERING,
+                                  v1::LeaseProgress::STATE_WAITING));
   d.Advance(seconds(3));  // the first one is still being written
   d.Advance(seconds(3));
   d.Flush();
