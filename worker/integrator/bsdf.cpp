@@ -12,9 +12,6 @@ namespace {
 
 constexpr float kRefractingIorMin = 1.005f;
 
-// The base is dimmed by rather more than the coat reflects, so that the table's error adds nothing.
-constexpr float kCoatMargin = 1.005f;
-
 float RelativeIndex(const BsdfParameters& p) {
   if (p.thin_walled) return p.ior;
   const float ior = RefractingIor(p.ior);

@@ -50,6 +50,12 @@ struct BsdfSample {
 
 class Bsdf {
  public:
+  // Of mirrors, at most: roughness 0.05.
+  static constexpr float kMirrorAlpha = 0.0025f;
+  // The base is dimmed by rather more than the coat reflects, so that the table's error adds
+  // nothing.
+  static constexpr float kCoatMargin = 1.005f;
+
   // wo.z > 0.
   Bsdf(const BsdfParameters& parameters, const Imath::V3f& wo);
 
@@ -65,8 +71,6 @@ class Bsdf {
   Imath::V3f Albedo() const;
 
  private:
-  static constexpr float kMirrorAlpha = 0.0025f;  // roughness 0.05
-
   bool SampleDirection(float u_lobe, const Imath::V2f& u, Imath::V3f* wi) const;
   BsdfValue EvaluateBase(const Imath::V3f& wi) const;
   Imath::V3f BaseAlbedo() const;

@@ -4,6 +4,7 @@
 
 #include <Imath/ImathVec.h>
 
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -28,6 +29,38 @@ struct Vec8 {
   Imath::V3f Get(int lane) const { return {x[lane], y[lane], z[lane]}; }
 };
 
+inline Vec8 operator+(const Vec8& a, const Vec8& b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+inline Vec8 operator-(const Vec8& a, const Vec8& b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+inline Vec8 operator*(const Vec8& a, const Vec8& b) { return {a.x * b.x, a.y * b.y, a.z * b.z}; }
+inline Vec8 operator*(const Vec8& a, Float8 scale) {
+  return {a.x * scale, a.y * scale, a.z * scale};
+}
+// `a` where `mask` is set, else `b`.
+inline Vec8 Select8(Int8 mask, const Vec8& a, const Vec8& b) {
+  return {mask != 0 ? a.x : b.x, mask != 0 ? a.y : b.y, mask != 0 ? a.z : b.z};
+}
+
+// Four numbers of each lane, lane by lane in memory, as four registers.
+using FourOf8 = std::array<Float8, 4>;
+inline FourOf8 LoadFour8(const std::array<const float*, kFloat8Lanes>& from) {
+  using Float4 = float __attribute__((vector_size(4 * sizeof(float))));
+  const auto pair = [&](int lane) {
+    Float4 low, high;
+    std::memcpy(&low, from[lane], sizeof(low));
+    std::memcpy(&high, from[lane + 4], sizeof(high));
+    return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+  };
+  const Float8 a = pair(0), b = pair(1), c = pair(2), d = pair(3);
+  const Float8 ab01 = __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13);
+  const Float8 ab23 = __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15);
+  const Float8 cd01 = __builtin_shufflevector(c, d, 0, 8, 1, 9, 4, 12, 5, 13);
+  const Float8 cd23 = __builtin_shufflevector(c, d, 2, 10, 3, 11, 6, 14, 7, 15);
+  return {__builtin_shufflevector(ab01, cd01, 0, 1, 8, 9, 4, 5, 12, 13),
+          __builtin_shufflevector(ab01, cd01, 2, 3, 10, 11, 6, 7, 14, 15),
+          __builtin_shufflevector(ab23, cd23, 0, 1, 8, 9, 4, 5, 12, 13),
+          __builtin_shufflevector(ab23, cd23, 2, 3, 10, 11, 6, 7, 14, 15)};
+}
+
 inline Float8 Spread8(float x) { return Float8{} + x; }
 inline Float8 Float8Of(Int8 x) { return __builtin_convertvector(x, Float8); }
 // Towards zero; |x| < 2^31.
@@ -48,6 +81,11 @@ inline Float8 Abs8(Float8 x) {
 inline Float8 NegatedWhere(Int8 mask, Float8 x) {
   constexpr auto kSign = static_cast<int32_t>(0x80000000u);
   return reinterpret_cast<Float8>(reinterpret_cast<Int8>(x) ^ (mask & kSign));
+}
+
+// `x` with the sign of `sign`; x >= 0.
+inline Float8 WithSignOf8(Float8 x, Float8 sign) {
+  return NegatedWhere(reinterpret_cast<Int8>(sign), x);
 }
 
 inline Float8 Clamp01(Float8 x) {

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "worker/integrator/float8_math.h"
 #include "worker/integrator/portable_math.h"
 
 namespace tessera {
@@ -35,6 +36,19 @@ inline float GgxLambda(const Imath::V3f& w, float alpha) {
   return 0.5f * (std::sqrt(1 + alpha * alpha * tan2) - 1);
 }
 
+// The two for eight lanes.
+inline Float8 GgxD(const Vec8& h, Float8 alpha) {
+  const Float8 a2 = alpha * alpha;
+  const Float8 t = (h.x * h.x + h.y * h.y) / a2 + h.z * h.z;
+  return 1 / (kPiFloat * a2 * t * t);
+}
+inline Float8 GgxLambda(const Vec8& w, Float8 alpha) {
+  const Float8 z2 = w.z * w.z;
+  const Float8 tan2 = (w.x * w.x + w.y * w.y) / z2;
+  const Float8 lambda = 0.5f * (Sqrt8(1 + alpha * alpha * tan2) - 1);
+  return z2 > 0 ? lambda : Spread8(1e18f);
+}
+
 // A microfacet normal with density G1(wo) max(0, wo.h) D(h) / wo.z; wo.z > 0.
 inline Imath::V3f SampleGgxVisibleNormal(const Imath::V3f& wo, float alpha, const Imath::V2f& u) {
   const Imath::V3f o = Unit({wo.x * alpha, wo.y * alpha, wo.z});
@@ -45,10 +59,24 @@ inline Imath::V3f SampleGgxVisibleNormal(const Imath::V3f& wo, float alpha, cons
   return Unit({h.x * alpha, h.y * alpha, std::max(h.z, 1e-12f)});
 }
 
+// The same in eight lanes, given `phi`, SinCosTurns(u.x).
+inline Vec8 SampleGgxVisibleNormal(const Vec8& wo, Float8 alpha, const SinCos8& phi, Float8 u_y) {
+  const Vec8 o = Unit8({wo.x * alpha, wo.y * alpha, wo.z});
+  const Float8 z = (1 - u_y) * (1 + o.z) - o.z;
+  const Float8 r = Sqrt8(Clamp01(1 - z * z));
+  const Vec8 h = {r * phi.cos + o.x, r * phi.sin + o.y, z + o.z};
+  return Unit8({h.x * alpha, h.y * alpha, Max8(h.z, Spread8(1e-12f))});
+}
+
 // Schlick 1994: the weight (1 - cos)^5 of F90.
 inline float SchlickWeight(float cosine) {
   const float m = Clamp01(1 - cosine);
   return Sqr(m * m) * m;
+}
+
+inline Float8 SchlickWeight(Float8 cosine) {
+  const Float8 m = Clamp01(1 - cosine);
+  return m * m * (m * m) * m;
 }
 
 // Fresnel reflectance of a smooth dielectric; eta = index on the transmitted side over the incident

@@ -8,23 +8,12 @@
 #include <type_traits>
 
 #include "core/base/check.h"
-#include "worker/integrator/onb.h"
+#include "worker/integrator/path_batch.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/ray_offset.h"
 
 namespace tessera {
 namespace {
-
-// Dimension groups of a sample: two numbers each.
-enum : uint32_t {
-  kFirstBounceGroup = FirstHits::kGroups,
-  // Of each bounce:
-  kLightPoint = 0,
-  kChoice = 1,  // the light; the BSDF's lobe
-  kScatter = 2,
-  kRoulette = 3,
-  kGroupsPerBounce = SequenceSeeds::kGroupsAtOnce,
-};
 
 // Bounces that Russian roulette leaves alone; afterwards a path goes on with this probability times
 // the root of its throughput: a path's cost is known, what it will find is not, and ending it by
@@ -59,55 +48,6 @@ void Store(const V3f& v, float (&out)[3]) {
 
 }  // namespace
 
-struct PathWalker::PathState {
-  const PathRequest* request;
-  SobolSampler sampler = SobolSampler(0, 0);  // the request's, or a branch's
-  Ray ray;                                    // unit direction
-  RayHit hit;
-  V3f medium = V3f(0, 0, 0);  // absorption where the ray is, 1/m, as the last boundary says
-  bool seeks_features;  // features are asked for, and only mirrors and clear glass were met so far
-  V3f throughput = V3f(1, 1, 1);
-  V3f radiance = V3f(0, 0, 0);
-  int depth = 0;          // surfaces scattered at so far
-  float cone_width = 0;   // what the path stands for, at the ray's origin, metres
-  float cone_spread = 0;  // its growth with distance
-  float pdf = 0;          // 1/sr, with which the ray's direction was drawn; depth > 0
-  LightView view;         // from the surface that the ray leaves; depth > 0
-  uint64_t hash_key;
-
-  // Of the bounce at hand.
-  std::optional<Surface> surface;
-  std::optional<Onb> frame;
-  std::optional<Bsdf> bsdf;
-  SobolSampler::Points numbers;
-  LightSample light;
-  Ray shadow;
-  V3f direct;  // what the light adds if nothing is in the way of the shadow ray
-};
-
-// Paths by index; lists of those that take part in a step.
-struct PathWalker::Batch {
-  class List {
-   public:
-    void Clear() { size_ = 0; }
-    void Add(int path) { paths_[size_++] = static_cast<uint8_t>(path); }
-    const uint8_t* begin() const { return paths_.data(); }
-    const uint8_t* end() const { return paths_.data() + size_; }
-    int size() const { return size_; }
-
-   private:
-    int size_ = 0;
-    std::array<uint8_t, kPathsMax> paths_;
-  };
-
-  std::array<PathState, kPathsMax> paths;
-  std::array<PixelSample*, kPathsMax> samples;
-  List walking;  // have a ray to trace
-  List met;      // met a surface that scatters
-  List lit;      // have a shadow ray to trace
-  int64_t rays = 0;
-};
-
 PathWalker::PathWalker(const Parts& parts)
     : parts_(parts),
       first_hits_(parts.camera, parts.embree, parts.environment),
@@ -117,15 +57,6 @@ int PathWalker::NumBranches(int depth) const { return depth == 0 ? parts_.branch
 
 int PathWalker::NumLightSamples(int depth) const {
   return depth == 0 && parts_.lights.has_extended_lights() ? kFirstLightSamples : 1;
-}
-
-float PathWalker::StrategyWeight(float pdf, float other_pdf, LightStrategy own) const {
-  if (parts_.strategy != LightStrategy::kBoth && other_pdf > 0) {
-    return parts_.strategy == own ? 1.f : 0.f;
-  }
-  // Power heuristic, exponent 2, as a ratio that cannot overflow.
-  const float ratio = other_pdf / pdf;
-  return 1 / (1 + ratio * ratio);
 }
 
 void PathWalker::Start(const PathRequest& request, const CameraHit& hit, PathState* path) const {
@@ -142,7 +73,7 @@ void PathWalker::Start(const PathRequest& request, const CameraHit& hit, PathSta
 
 // Leaves in `met` the paths that hit something; what the others see is added.
 void PathWalker::Intersect(Batch* batch) const {
-  Batch::List escaped;
+  List escaped;
   batch->met.Clear();
   batch->rays += batch->walking.size();
   for (int i : batch->walking) {
@@ -182,17 +113,14 @@ void PathWalker::Read(Batch* batch) const {
     path.surface.emplace(InPlace(
         [&] { return parts_.surfaces.Read(path.hit, -path.ray.direction, path.cone_width); }));
   }
-  Batch::List scattering;
+  List scattering;
   for (int i : batch->met) {
     if (Arrive(&batch->paths[i], batch->samples[i])) scattering.Add(i);
   }
   batch->met = scattering;
+  MakeBsdfs(batch);
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
-    if (path.seeks_features) {
-      StoreFeatures(path, path.bsdf->Albedo(), batch->samples[i]);
-      path.seeks_features = path.bsdf->IsMirror();
-    }
     path.numbers = path.sampler.Get4x2D(
         kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path.depth),
         path.request->seeds);
@@ -218,9 +146,8 @@ bool PathWalker::Arrive(PathState* path, PixelSample* sample) const {
     for (int c = 0; c < 3; ++c) path->throughput[c] *= ExpNegative(-absorption[c] * hit.t);
   }
   AddEmission(path);
-  path->frame.emplace(surface.shading_normal);
-  const V3f wo = path->frame->ToLocal(-path->ray.direction);
-  const bool scatters = !surface.unlit && wo.z > 1e-6f;
+  const float cosine = (-path->ray.direction).dot(surface.shading_normal);
+  const bool scatters = !surface.unlit && cosine > 1e-6f;
   if (path->depth == 0) {
     sample->depth = hit.t;
     if (path->request->with_features) sample->material_id = surface.material + 1;
@@ -231,7 +158,6 @@ bool PathWalker::Arrive(PathState* path, PixelSample* sample) const {
     }
     return false;
   }
-  path->bsdf.emplace(surface.bsdf, wo);
   return true;
 }
 
@@ -259,7 +185,7 @@ void PathWalker::Illuminate(int depth, Batch* batch) const {
   size_t num_looks = 0;
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
-    looks[num_looks] = {&*path.surface, path.bsdf->transmits(), &path.view, &weights[num_looks]};
+    looks[num_looks] = {&*path.surface, path.transmits, &path.view, &weights[num_looks]};
     ++num_looks;
   }
   parts_.lights.Look({looks.data(), num_looks});
@@ -267,23 +193,12 @@ void PathWalker::Illuminate(int depth, Batch* batch) const {
   for (int round = 0; round < rounds; ++round) {
     if (round > 0) CastShadows(batch);
     batch->lit.Clear();
-    Batch::List facing;
+    List facing;
     const LightLook* look = looks.data();
     for (int i : batch->met) {
       if (SampleLight(*(look++)->weights, round, &batch->paths[i])) facing.Add(i);
     }
-    for (int i : facing) {
-      PathState& path = batch->paths[i];
-      LightSample& light = path.light;
-      light.pdf *= static_cast<float>(rounds);
-      const BsdfValue value = path.bsdf->Evaluate(path.frame->ToLocal(light.wi));
-      path.direct = path.throughput * value.f_cos * light.radiance * (1 / light.pdf);
-      if (!light.punctual) {
-        const float other_pdf = value.pdf * static_cast<float>(NumBranches(depth));
-        path.direct *= StrategyWeight(light.pdf, other_pdf, LightStrategy::kLightsOnly);
-      }
-      if (MaxComponent(path.direct) > 0) batch->lit.Add(i);
-    }
+    AddLights(depth, facing, batch);
     for (int i : batch->lit) AimShadow(&batch->paths[i]);
   }
 }
@@ -330,15 +245,14 @@ void PathWalker::CastShadows(Batch* batch) const {
 // Leaves in `walking` the paths that go on, with their next rays.
 void PathWalker::Scatter(Batch* batch) const {
   batch->walking.Clear();
-  std::array<BsdfSample, kPathsMax> scattered;
-  Batch::List scattering;
-  for (int i : batch->met) {
-    const PathState& path = batch->paths[i];
-    if (IsBlind(path)) continue;
-    if (path.bsdf->Sample(path.numbers[kChoice].y, path.numbers[kScatter], &scattered[i])) {
-      scattering.Add(i);
-    }
-  }
+  if (batch->met.size() == 0) return;
+  // Either all paths are blind or none.
+  if (IsBlind(batch->paths[batch->met[0]])) return;
+  NumbersOfPaths numbers;
+  for (int i : batch->met) numbers[i] = &batch->paths[i].numbers;
+  std::array<Scattered, kPathsMax> scattered;
+  List scattering;
+  SampleBsdfs(*batch, numbers, &scattered, &scattering);
   for (int i : scattering) {
     PathState& path = batch->paths[i];
     if (Continue(path, scattered[i], &path)) batch->walking.Add(i);
@@ -354,17 +268,25 @@ bool PathWalker::IsBlind(const PathState& path) const {
 // Sends branch number `branch` of each path that met a surface on its way, as a path of its own.
 void PathWalker::Branch(const Batch& stems, int branch, Batch* batch) const {
   batch->walking.Clear();
+  if (stems.met.size() == 0 || IsBlind(stems.paths[stems.met[0]])) return;
+  std::array<SobolSampler::Points, kPathsMax> own_numbers;
+  NumbersOfPaths numbers;
   for (int i : stems.met) {
     const PathState& stem = stems.paths[i];
-    if (IsBlind(stem)) continue;
     PathState& path = batch->paths[i];
     path.sampler = stem.sampler.Branch(branch, parts_.branches);
+    numbers[i] = &stem.numbers;
+    if (parts_.branches == 1) continue;
+    own_numbers[i] = path.sampler.Get4x2D(kFirstBounceGroup, stem.request->seeds);
+    numbers[i] = &own_numbers[i];
+  }
+  std::array<Scattered, kPathsMax> scattered;
+  List scattering;
+  SampleBsdfs(stems, numbers, &scattered, &scattering);
+  for (int i : scattering) {
+    const PathState& stem = stems.paths[i];
+    PathState& path = batch->paths[i];
     path.hash_key = path.sampler.HashKey();
-    const SobolSampler::Points numbers =
-        parts_.branches == 1 ? stem.numbers
-                             : path.sampler.Get4x2D(kFirstBounceGroup, stem.request->seeds);
-    BsdfSample scattered;
-    if (!stem.bsdf->Sample(numbers[kChoice].y, numbers[kScatter], &scattered)) continue;
     path.request = stem.request;
     path.medium = stem.medium;
     path.seeks_features = stem.seeks_features && branch == 0;
@@ -375,17 +297,17 @@ void PathWalker::Branch(const Batch& stems, int branch, Batch* batch) const {
     path.cone_spread = stem.cone_spread;
     path.view = stem.view;
     batch->samples[i] = stems.samples[i];
-    if (Continue(stem, scattered, &path)) batch->walking.Add(i);
+    if (Continue(stem, scattered[i], &path)) batch->walking.Add(i);
   }
 }
 
 // Sends the path on, unless it loses Russian roulette or the direction is none of the surface's.
-bool PathWalker::Continue(const PathState& from, const BsdfSample& scattered,
+bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
                           PathState* path) const {
   const Surface& surface = *from.surface;
-  const V3f direction = Unit(from.frame->ToWorld(scattered.wi));
+  const V3f& direction = scattered.direction;
   const float above = direction.dot(surface.geometric_normal);
-  if (above * scattered.wi.z <= 0) return false;
+  if (above * scattered.cosine <= 0) return false;
   path->throughput *= scattered.weight;
   const float most = MaxComponent(path->throughput);
   if (!(most > 0)) return false;
@@ -398,7 +320,7 @@ bool PathWalker::Continue(const PathState& from, const BsdfSample& scattered,
                                above > 0 ? surface.geometric_normal : -surface.geometric_normal,
                                surface.coordinate_max),
                direction, kInfinity};
-  if (scattered.wi.z < 0 && !surface.bsdf.thin_walled) {
+  if (scattered.cosine < 0 && !surface.bsdf.thin_walled) {
     path->medium = surface.front_face ? surface.absorption : V3f(0, 0, 0);
   }
   path->pdf = scattered.pdf * static_cast<float>(NumBranches(path->depth));
@@ -420,7 +342,7 @@ void PathWalker::Walk(std::span<const PathRequest> requests, std::span<const Cam
   CastShadows(&stems);
   for (int branch = 0; branch < parts_.branches; ++branch) {
     Branch(stems, branch, &batch);
-    const Batch::List begun = batch.walking;
+    const List begun = batch.walking;
     Intersect(&batch);
     for (int depth = 1; batch.met.size() > 0; ++depth) {
       Read(&batch);

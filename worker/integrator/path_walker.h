@@ -2,6 +2,7 @@
 // importance sampling (Veach 1997, power heuristic), and Russian roulette by throughput.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <span>
 
@@ -46,7 +47,9 @@ class PathWalker {
  private:
   static constexpr int kPathsMax = 16;  // that walk together
   struct PathState;
+  struct Scattered;
   struct Batch;
+  class List;
   // The steps of a bounce, each for all paths that walk, so that their latencies overlap.
   void Walk(std::span<const PathRequest> requests, std::span<const CameraHit> hits,
             std::span<PixelSample> samples, int64_t* rays) const;
@@ -57,6 +60,12 @@ class PathWalker {
   void Scatter(Batch* batch) const;
   void Branch(const Batch& stems, int branch, Batch* batch) const;
   void CastShadows(Batch* batch) const;
+  // Those of them that ask the surfaces' BSDFs, most of which are asked by eights.
+  void MakeBsdfs(Batch* batch) const;
+  void AddLights(int depth, const List& facing, Batch* batch) const;
+  using NumbersOfPaths = std::array<const SobolSampler::Points*, kPathsMax>;
+  void SampleBsdfs(const Batch& batch, const NumbersOfPaths& numbers,
+                   std::array<Scattered, kPathsMax>* scattered, List* scattering) const;
 
   void AddEscaped(PathState* path) const;
   void StoreFeatures(const PathState& path, const V3f& albedo, PixelSample* sample) const;
@@ -68,8 +77,9 @@ class PathWalker {
   bool SampleLight(const LightWeights& weights, int round, PathState* path) const;
   void AimShadow(PathState* path) const;
   bool IsBlind(const PathState& path) const;
-  bool Continue(const PathState& from, const BsdfSample& scattered, PathState* path) const;
+  bool Continue(const PathState& from, const Scattered& scattered, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;
+  Float8 StrategyWeight8(Float8 pdf, Float8 other_pdf, LightStrategy own) const;
 
   Parts parts_;
   FirstHits first_hits_;

@@ -22,13 +22,14 @@ inline float AlbedoNode(float mu, float alpha) {
   return 0.5f * (std::sqrt(cosine) + std::sqrt(cosine * (1 + a) / (cosine + a)));
 }
 
+// What is left out of a compensation so that the tables' errors do not add energy: a share of it,
+// for their spacing, and a constant, for the noise of their points.
+inline constexpr float kCompensationMarginShare = 0.004f, kCompensationMarginNoise = 7e-4f;
+
 // 1 / albedo, rather a little less: a lobe that is scaled by it conserves energy and does not gain.
 inline float CompensationOf(float albedo) {
-  // What is left out so that the tables' errors do not add energy: a share of the compensation, for
-  // their spacing, and a constant, for the noise of their points.
-  constexpr float kMarginShare = 0.004f, kMarginNoise = 7e-4f;
   const float missing = 1 / std::max(albedo, 1e-3f) - 1;
-  return 1 + std::max(0.f, missing * (1 - kMarginShare) - kMarginNoise);
+  return 1 + std::max(0.f, missing * (1 - kCompensationMarginShare) - kCompensationMarginNoise);
 }
 
 struct SpecularAlbedo {
@@ -58,6 +59,7 @@ struct SpecularAverage {
 };
 
 class SpecularAlbedoTable {
+  friend class SpecularAlbedo8;
   static constexpr int kRows = 32, kColumns = 48;
   struct Row {
     std::array<SpecularAlbedo, kColumns> cells;  // by AlbedoNode
@@ -83,6 +85,7 @@ class SpecularAlbedoTable {
 
    private:
     friend class SpecularAlbedoTable;
+    friend class SpecularAlbedo8;
     const Row* lower_;
     const Row* upper_;
     float weight_;  // of the upper row
