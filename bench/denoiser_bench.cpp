@@ -2,8 +2,10 @@
 // it says of its own error, how often its 95 % intervals hold the truth and how wide they are, in
 // how many 32x32 blocks it does harm, and what it costs.
 //   denoiser_bench INPUT=REFERENCE[,REFERENCE] ... [--denoiser NAME] [--threads N] [--repeat N]
+//     [--update]
 // INPUT is a film (tessera render --layers film), or a folder of another renderer's images: color,
 // albedo, normal and depth, each as NAME.exr, NAMEA.exr, NAMEB.exr and NAMEVariance.exr.
+// --update adds what it costs to bring the picture up to date after news in one tile of 64x64.
 // With two independent references their noise is taken out; with one, harm alone is free of it.
 #include <CLI/CLI.hpp>
 #include <sys/resource.h>
@@ -12,6 +14,7 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <vector>
 
@@ -22,6 +25,7 @@
 #include "core/base/tile_grid.h"
 #include "core/denoise/confidence.h"
 #include "core/denoise/denoise_frame.h"
+#include "core/denoise/frame_filter.h"
 #include "core/image/image_reader.h"
 #include "core/statistics/calibration.h"
 
@@ -39,6 +43,7 @@ struct Options {
   std::string denoiser;
   int threads = 1;
   int repeat = 1;
+  bool update = false;
 };
 
 double UserSeconds() {
@@ -240,6 +245,39 @@ void MeasureHarm(const FramePlanes& planes, const FilteredPlanes& out, const Tru
   }
 }
 
+// Seconds of CPU per pixel of a tile to bring the whole filtered picture up to date after news in
+// it, and the bytes per pixel of the frame that this takes: the mean of the tiles whose reach lies
+// in the frame, or of all.
+void MeasureUpdate(const FramePlanes& planes, const Denoiser& denoiser) {
+  constexpr int kTilePx = 64;
+  const PixelRect& bounds = planes.bounds;
+  const auto filter = denoiser.MakeFrameFilter({bounds, DenoiseQuality::kFinal}, bounds);
+  const auto one_by_one = [](size_t count, const std::function<void(size_t)>& body) {
+    for (size_t i = 0; i < count; ++i) body(i);
+  };
+  FilteredPlanes out(bounds);
+  const auto put = [&](const FilteredPlanes& part) { CopyPixels(part, &out); };
+  filter->Filter(planes, {&bounds, 1}, one_by_one, put);
+  const TileGrid grid(bounds, kTilePx);
+  double whole_seconds = 0, cut_seconds = 0, whole_pixels = 0, cut_pixels = 0;
+  for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
+    const PixelRect news = grid.WindowOf(tile);
+    const PixelRect reached = news.Expand(filter->reach_px());
+    const bool is_whole = bounds.Contains(reached);
+    const PixelRect window = reached.Intersect(bounds);
+    const double begin = UserSeconds();
+    filter->Invalidate(news);
+    filter->Filter(planes, {&window, 1}, one_by_one, put);
+    (is_whole ? whole_seconds : cut_seconds) += UserSeconds() - begin;
+    (is_whole ? whole_pixels : cut_pixels) += static_cast<double>(news.area());
+  }
+  const bool has_whole = whole_pixels > 0;
+  std::printf("%-18s %9.2f us per pixel of a changed tile%s, %.0f bytes kept a pixel\n", "  update",
+              1e6 * (has_whole ? whole_seconds / whole_pixels : cut_seconds / cut_pixels),
+              has_whole ? "" : " (cut by the frame)",
+              static_cast<double>(filter->kept_bytes()) / static_cast<double>(bounds.area()));
+}
+
 absl::Status Measure(const Options& options, const Denoiser& denoiser, const std::string& text) {
   const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
   const std::vector<std::string> references = absl::StrSplit(parts.back(), ',');
@@ -283,6 +321,7 @@ absl::Status Measure(const Options& options, const Denoiser& denoiser, const std
               1e5 * row.trimmed, std::sqrt(std::max(row.rel_mse, 0.0) / row.promised),
               100 * row.coverage, row.width, row.num_harmed, row.num_blocks, row.worst_block,
               1e6 * seconds / static_cast<double>(planes.samples.size()));
+  if (options.update) MeasureUpdate(planes, denoiser);
   std::fflush(stdout);
   return absl::OkStatus();
 }
@@ -297,6 +336,7 @@ int main(int argc, char** argv) {
   app.add_option("--denoiser", options.denoiser);
   app.add_option("--threads", options.threads);
   app.add_option("--repeat", options.repeat, "The fastest counts");
+  app.add_flag("--update", options.update, "The cost of news in one tile");
   CLI11_PARSE(app, argc, argv);
   const auto denoiser = tessera::MakeDenoiser(
       options.denoiser.empty() ? tessera::DenoiserNames().front() : options.denoiser);

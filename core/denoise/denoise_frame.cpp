@@ -1,10 +1,11 @@
 #include "core/denoise/denoise_frame.h"
 
 #include <algorithm>
-#include <vector>
+#include <functional>
+#include <memory>
 
 #include "core/base/check.h"
-#include "core/base/tile_grid.h"
+#include "core/denoise/frame_filter.h"
 #include "oneapi/tbb/info.h"
 #include "oneapi/tbb/parallel_for.h"
 #include "oneapi/tbb/task_arena.h"
@@ -21,25 +22,28 @@ void DenoiseWindows(const Denoiser& denoiser, const FramePlanes& planes,
     TESSERA_CHECK(parameters.frame.Contains(window) && planes.bounds.Contains(read) &&
                   out->bounds.Contains(window));
   }
-  const int window_px = denoiser.window_px(parameters.quality);
-  const std::vector<PixelRect> parts = SplitWindows(windows, window_px);
+  const std::unique_ptr<FrameFilter> filter = denoiser.MakeFrameFilter(parameters, planes.bounds);
+  const auto put = [out](const FilteredPlanes& part) { CopyPixels(part, out); };
   // TBB warns on stderr when asked for more than this.
   num_threads = std::min(num_threads, oneapi::tbb::info::default_concurrency());
   if (num_threads <= 1) {
-    for (const PixelRect& part : parts) denoiser.Filter(planes, parameters, part, out);
-    return;
+    const auto one_by_one = [](size_t count, const std::function<void(size_t)>& body) {
+      for (size_t i = 0; i < count; ++i) body(i);
+    };
+    return filter->Filter(planes, windows, one_by_one, put);
   }
   oneapi::tbb::task_arena arena(num_threads);
-  arena.execute([&] {
-    oneapi::tbb::parallel_for(
-        oneapi::tbb::blocked_range<size_t>(0, parts.size(), 1),
-        [&](const oneapi::tbb::blocked_range<size_t>& range) {
-          for (size_t i = range.begin(); i < range.end(); ++i) {
-            denoiser.Filter(planes, parameters, parts[i], out);
-          }
-        },
-        oneapi::tbb::simple_partitioner());
-  });
+  const auto in_parallel = [&](size_t count, const std::function<void(size_t)>& body) {
+    arena.execute([&] {
+      oneapi::tbb::parallel_for(
+          oneapi::tbb::blocked_range<size_t>(0, count, 1),
+          [&](const oneapi::tbb::blocked_range<size_t>& range) {
+            for (size_t i = range.begin(); i < range.end(); ++i) body(i);
+          },
+          oneapi::tbb::simple_partitioner());
+    });
+  };
+  filter->Filter(planes, windows, in_parallel, put);
 }
 
 FilteredPlanes DenoiseFrame(const Denoiser& denoiser, const FramePlanes& planes,

@@ -1,9 +1,12 @@
 #include "core/denoise/denoiser.h"
 
+#include <algorithm>
+
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "core/denoise/bilateral_filter.h"
 #include "core/denoise/confidence.h"
+#include "core/denoise/frame_filter.h"
 #include "core/denoise/geometric_filter.h"
 #include "core/denoise/nlm_filter.h"
 #include "core/denoise/none_filter.h"
@@ -34,6 +37,27 @@ void SetRelativeError(const PixelRect& window, FilteredPlanes* out) {
       }
     }
   }
+}
+
+void CopyPixels(const FilteredPlanes& from, FilteredPlanes* to) {
+  const PixelRect& window = from.bounds;
+  const auto copy = [&](const Plane& source, Plane* target) {
+    for (int y = window.y_begin; y < window.y_end; ++y) {
+      std::copy_n(source.begin() + from.bounds.IndexOf(window.x_begin, y), window.width(),
+                  target->begin() + to->bounds.IndexOf(window.x_begin, y));
+    }
+  };
+  for (size_t c = 0; c < 3; ++c) {
+    copy(from.color[c], &to->color[c]);
+    copy(from.error[c], &to->error[c]);
+  }
+  copy(from.relative_error, &to->relative_error);
+  copy(from.relative_noise, &to->relative_noise);
+}
+
+std::unique_ptr<FrameFilter> Denoiser::MakeFrameFilter(const FrameParameters& parameters,
+                                                       const PixelRect& /*bounds*/) const {
+  return std::make_unique<WindowFilter>(*this, parameters);
 }
 
 absl::Status Denoiser::SetOption(std::string_view option, float value) {

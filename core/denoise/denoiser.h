@@ -53,6 +53,11 @@ struct DenoiserOption {
   float max = 0;
 };
 
+// Copies all of `from` into `to`, which must contain it.
+void CopyPixels(const FilteredPlanes& from, FilteredPlanes* to);
+
+class FrameFilter;
+
 class Denoiser {
  public:
   virtual ~Denoiser() = default;
@@ -67,6 +72,11 @@ class Denoiser {
   // or left zero with an infinite error. Threads: const, any number at once on disjoint windows.
   virtual void Filter(const FramePlanes& planes, const FrameParameters& parameters,
                       const PixelRect& window, FilteredPlanes* out) const = 0;
+  // A filter of the whole frame, window by window and again and again as its planes change, which
+  // may keep what helps (core/denoise/frame_filter.h); the same bits as Filter's. `bounds`: of the
+  // planes that it will get. This denoiser must outlive it.
+  virtual std::unique_ptr<FrameFilter> MakeFrameFilter(const FrameParameters& parameters,
+                                                       const PixelRect& bounds) const;
   // What SetOption knows; most filters have nothing to set.
   virtual std::vector<DenoiserOption> options() const { return {}; }
   // Errors: INVALID_ARGUMENT naming the options and their ranges.

@@ -26,23 +26,21 @@ float Sign(int x, int y, uint32_t half) {
 
 }  // namespace
 
-RegressionInput ProbedInput(const RegressionInput& input) {
-  RegressionInput probed = input;
-  const PixelRect& bounds = input.bounds;
+void Probe(RegressionInput* input) {
+  const PixelRect& bounds = input->bounds;
   size_t i = 0;
   for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
     for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++i) {
-      if (input.known[i] == 0) continue;
-      const float shares[] = {input.share_a[i], 1.0f - input.share_a[i]};
+      if (input->known[i] == 0) continue;
+      const float shares[] = {input->share_a[i], 1.0f - input->share_a[i]};
       for (uint32_t half = 0; half < kNumHalves; ++half) {
         const float step = kStep * Sign(x, y, half);
         for (size_t c = 0; c < 3; ++c) {
-          probed.color[half][c][i] += step * std::sqrt(input.variance[c][i] / shares[half]);
+          input->color[half][c][i] += step * std::sqrt(input->variance[c][i] / shares[half]);
         }
       }
     }
   }
-  return probed;
 }
 
 Planes3 NoiseCovariance(const RegressionInput& input, const RegressionInput& probed,

@@ -11,9 +11,9 @@
 
 namespace tessera {
 
-// `input` with each half moved by a tenth of its standard deviation, up or down by a hash of pixel
+// Moves each half of `input` by a tenth of its standard deviation, up or down by a hash of pixel
 // and half, all channels alike as the noise of samples mostly is.
-RegressionInput ProbedInput(const RegressionInput& input);
+void Probe(RegressionInput* input);
 
 // The covariance of the filtered colour with the noise of the raw mean, for each channel and pixel
 // of picture.bounds (the same as probed_picture's): unbiased, but one probe's, so noisy. `picture`

@@ -22,11 +22,10 @@ class RegressionFilter final : public Denoiser {
  public:
   std::string_view name() const override { return "regression"; }
   int halo_px(DenoiseQuality quality) const override;
-  int window_px(DenoiseQuality quality) const override {
-    return quality == DenoiseQuality::kFinal ? 256 : Denoiser::window_px(quality);
-  }
   void Filter(const FramePlanes& planes, const FrameParameters& parameters, const PixelRect& window,
               FilteredPlanes* out) const override;
+  std::unique_ptr<FrameFilter> MakeFrameFilter(const FrameParameters& parameters,
+                                               const PixelRect& bounds) const override;
 };
 
 }  // namespace tessera

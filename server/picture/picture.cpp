@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <mutex>
+#include <set>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
@@ -37,21 +39,10 @@ std::vector<int64_t> Reached(const TileGrid& grid, const std::vector<int64_t>& t
   return {reached.begin(), reached.end()};
 }
 
-// Copies all of `from`.
-void CopyPart(const FilteredPlanes& from, FilteredPlanes* to) {
-  const PixelRect& window = from.bounds;
-  const auto copy = [&](const Plane& source, Plane* target) {
-    for (int y = window.y_begin; y < window.y_end; ++y) {
-      std::copy_n(source.begin() + from.bounds.IndexOf(window.x_begin, y), window.width(),
-                  target->begin() + to->bounds.IndexOf(window.x_begin, y));
-    }
-  };
-  for (size_t c = 0; c < 3; ++c) {
-    copy(from.color[c], &to->color[c]);
-    copy(from.error[c], &to->error[c]);
-  }
-  copy(from.relative_error, &to->relative_error);
-  copy(from.relative_noise, &to->relative_noise);
+// The smallest rectangle around both.
+PixelRect Around(const PixelRect& a, const PixelRect& b) {
+  return {std::min(a.x_begin, b.x_begin), std::min(a.y_begin, b.y_begin),
+          std::max(a.x_end, b.x_end), std::max(a.y_end, b.y_end)};
 }
 
 }  // namespace
@@ -93,6 +84,9 @@ Picture::Picture(const v1::JobSettings& settings)
   absl::StatusOr<std::unique_ptr<Denoiser>> denoiser = MakeDenoiser(settings.denoiser());
   TESSERA_CHECK(denoiser.ok());
   denoiser_ = *std::move(denoiser);
+  filter_ = denoiser_->MakeFrameFilter({grid_.region(), quality_}, grid_.region());
+  preview_filter_ =
+      denoiser_->MakeFrameFilter({grid_.region(), DenoiseQuality::kPreview}, grid_.region());
   // What is not sampled yet is unknown.
   for (Planes3* const planes :
        {&planes_.sample_variance_of_mean, &planes_.variance, &planes_.albedo_variance,
@@ -111,11 +105,14 @@ double Picture::Update(const std::vector<int64_t>& changed, const TileSource& so
   }
   std::vector<int64_t> resolved;
   double cpu_seconds = TakeTiles(changed, source, num_threads, &resolved);
-  if (quality != quality_) {
-    const std::vector<int64_t> rough = StaleTiles(resolved, quality_);
-    rough_.insert(rough.begin(), rough.end());
+  if (quality != quality_) LeaveToRefine(StalePixels(resolved, quality_));
+  std::vector<int64_t> seen;
+  for (const auto& [tile, stale] : StalePixels(resolved, quality)) {
+    seen.push_back(tile);
+    // The preview takes whole tiles.
+    if (quality != quality_) LeaveToRefine({{tile, grid_.WindowOf(tile)}});
   }
-  cpu_seconds += FilterTiles(StaleTiles(resolved, quality), quality, num_threads);
+  cpu_seconds += FilterWindows(JoinTiles(grid_, seen), quality, num_threads);
   std::unique_lock lock(mu_);
   is_refined_ = rough_.empty();
   ++version_;
@@ -126,22 +123,24 @@ double Picture::Absorb(const std::vector<int64_t>& changed, const TileSource& so
                        int num_threads) {
   std::vector<int64_t> resolved;
   const double cpu_seconds = TakeTiles(changed, source, num_threads, &resolved);
-  const std::vector<int64_t> stale = StaleTiles(resolved, quality_);
-  rough_.insert(stale.begin(), stale.end());
+  LeaveToRefine(StalePixels(resolved, quality_));
   std::unique_lock lock(mu_);
   is_refined_ = false;
   return cpu_seconds;
 }
 
 double Picture::Refine(int64_t pixels_max, int num_threads) {
-  std::vector<int64_t> slice;
+  std::vector<int64_t> whole;
+  std::vector<PixelRect> slice;
   int64_t pixels = 0;
   while (!rough_.empty() && pixels < pixels_max) {
-    slice.push_back(*rough_.begin());
-    pixels += grid_.WindowOf(slice.back()).area();
+    const auto& [tile, part] = *rough_.begin();
+    pixels += part.area();
+    part == grid_.WindowOf(tile) ? whole.push_back(tile) : slice.push_back(part);
     rough_.erase(rough_.begin());
   }
-  const double cpu_seconds = FilterTiles(slice, quality_, num_threads);
+  std::ranges::copy(JoinTiles(grid_, whole), std::back_inserter(slice));
+  const double cpu_seconds = FilterWindows(slice, quality_, num_threads);
   std::unique_lock lock(mu_);
   is_refined_ = rough_.empty();
   if (version_ > 0 || is_refined_) ++version_;
@@ -158,17 +157,37 @@ double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource&
     cpu_seconds += ParallelFor(moved.size(), num_threads,
                                [&](size_t i) { CalibrateVariance(moved[i], &planes_); });
   }
+  for (const int64_t tile : *resolved) {
+    filter_->Invalidate(grid_.WindowOf(tile));
+    preview_filter_->Invalidate(grid_.WindowOf(tile));
+  }
   return cpu_seconds;
 }
 
-std::vector<int64_t> Picture::StaleTiles(const std::vector<int64_t>& tiles,
-                                         DenoiseQuality quality) const {
-  return Reached(grid_, tiles, kCalibrationRadiusPx + denoiser_->halo_px(quality));
+std::map<int64_t, PixelRect> Picture::StalePixels(const std::vector<int64_t>& tiles,
+                                                  DenoiseQuality quality) const {
+  const FrameFilter& filter = quality == quality_ ? *filter_ : *preview_filter_;
+  std::map<int64_t, PixelRect> stale;
+  for (const int64_t tile : tiles) {
+    const PixelRect news = grid_.WindowOf(tile).Expand(filter.reach_px());
+    for (const int64_t other : grid_.TilesIn(news)) {
+      const PixelRect part = news.Intersect(grid_.WindowOf(other));
+      const auto [it, is_new] = stale.try_emplace(other, part);
+      if (!is_new) it->second = Around(it->second, part);
+    }
+  }
+  return stale;
 }
 
-double Picture::FilterTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality,
-                            int num_threads) {
-  const std::vector<PixelRect> windows = JoinTiles(grid_, tiles);
+void Picture::LeaveToRefine(const std::map<int64_t, PixelRect>& stale) {
+  for (const auto& [tile, part] : stale) {
+    const auto [it, is_new] = rough_.try_emplace(tile, part);
+    if (!is_new) it->second = Around(it->second, part);
+  }
+}
+
+double Picture::FilterWindows(const std::vector<PixelRect>& windows, DenoiseQuality quality,
+                              int num_threads) {
   double cpu_seconds = Filter(windows, quality, num_threads);
   cpu_seconds += SumErrors(windows, num_threads);
   const double error = EstimateError();
@@ -199,14 +218,16 @@ double Picture::Resolve(const std::vector<int64_t>& changed, const TileSource& s
 
 double Picture::Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                        int num_threads) {
-  const FrameParameters parameters{.frame = grid_.region(), .quality = quality};
-  const std::vector<PixelRect> parts = SplitWindows(windows, denoiser_->window_px(quality));
-  return ParallelFor(parts.size(), num_threads, [&](size_t i) {
-    FilteredPlanes part(parts[i]);
-    denoiser_->Filter(planes_, parameters, parts[i], &part);
+  FrameFilter& filter = quality == quality_ ? *filter_ : *preview_filter_;
+  double cpu_seconds = 0;
+  const auto for_each_part = [&](size_t count, const std::function<void(size_t)>& body) {
+    cpu_seconds += ParallelFor(count, num_threads, body);
+  };
+  filter.Filter(planes_, windows, for_each_part, [&](const FilteredPlanes& part) {
     std::unique_lock lock(mu_);
-    CopyPart(part, &filtered_);
+    CopyPixels(part, &filtered_);
   });
+  return cpu_seconds;
 }
 
 double Picture::SumErrors(const std::vector<PixelRect>& windows, int num_threads) {

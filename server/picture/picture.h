@@ -1,15 +1,14 @@
 // The served picture of one job: planes resolved from its film, and the filtered picture, kept up
 // to date tile by tile. Previews may be filtered more cheaply than the job asks for. Once refined,
 // incremental equals from scratch, bit for bit, however previews went: what a changed tile can
-// reach (calibration radius + the filter's halo), and what is at preview quality, is filtered
-// again.
+// reach, and what is at preview quality, is filtered again, from what the filter has kept.
 #pragma once
 
 #include <cstdint>
 #include <functional>
 #include <limits>
+#include <map>
 #include <memory>
-#include <set>
 #include <shared_mutex>
 #include <string>
 #include <vector>
@@ -17,6 +16,7 @@
 #include "absl/status/statusor.h"
 #include "core/base/tile_grid.h"
 #include "core/denoise/denoiser.h"
+#include "core/denoise/frame_filter.h"
 #include "core/film/frame_planes.h"
 #include "core/image/image.h"
 #include "tessera/v1/job.pb.h"
@@ -66,10 +66,14 @@ class Picture {
   // Absorb; *resolved are those of the changed tiles that have samples.
   double TakeTiles(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
                    std::vector<int64_t>* resolved);
-  // The tiles whose filtered pixels news in `tiles` can change at `quality`.
-  std::vector<int64_t> StaleTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality) const;
-  // Filters `tiles`, their rows' errors and the estimate from them.
-  double FilterTiles(const std::vector<int64_t>& tiles, DenoiseQuality quality, int num_threads);
+  // The pixels that news in `tiles` can change at `quality`, tile by tile.
+  std::map<int64_t, PixelRect> StalePixels(const std::vector<int64_t>& tiles,
+                                           DenoiseQuality quality) const;
+  // Has `stale` filtered at the job's quality by Refine.
+  void LeaveToRefine(const std::map<int64_t, PixelRect>& stale);
+  // Filters `windows`, their rows' errors and the estimate from them.
+  double FilterWindows(const std::vector<PixelRect>& windows, DenoiseQuality quality,
+                       int num_threads);
   // Each returns seconds of CPU.
   double Resolve(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
                  std::vector<int64_t>* resolved);
@@ -83,6 +87,8 @@ class Picture {
   const DenoiseQuality quality_;  // the job's
   const TileGrid grid_;
   std::unique_ptr<Denoiser> denoiser_;  // constant after construction
+  // At the job's quality and for previews; Update's own.
+  std::unique_ptr<FrameFilter> filter_, preview_filter_;
 
   // Update's thread and those that it starts alone write what follows. The calibrated variance, in
   // planes_, is guarded by variance_mu_ (taken first), all else up to estimated_error_ by mu_.
@@ -95,7 +101,8 @@ class Picture {
   int64_t num_samples_ = 0;
   double estimated_error_ = 0;
 
-  std::set<int64_t> rough_;         // tiles filtered at less than the job's quality; Update's own
+  // What has to be filtered at the job's quality, by tile; Update's own.
+  std::map<int64_t, PixelRect> rough_;
   // Each row's sums of FilteredPlanes::relative_error and relative_noise; Update's own.
   struct RowError {
     double error = std::numeric_limits<double>::infinity();

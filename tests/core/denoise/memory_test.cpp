@@ -1,15 +1,16 @@
-// What a filter needs beyond its input and output does not grow with the frame: the peak of the
-// heap while one window is filtered, counted by replacing operator new in this program.
+// What a filter needs beyond its input and output: the peak of the heap, counted by replacing
+// operator new in this program.
 #include <malloc.h>
 
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
 #include <cstdlib>
+#include <functional>
 #include <new>
 #include <string>
 
-#include "core/denoise/denoise_frame.h"
+#include "core/denoise/frame_filter.h"
 #include "gtest/gtest.h"
 
 namespace {
@@ -40,31 +41,32 @@ void operator delete(void* memory, size_t /*size*/) noexcept { operator delete(m
 namespace tessera {
 namespace {
 
-// The bytes that filtering the middle window of a frame needs at most.
+// The bytes that filtering a frame on one thread needs at most beyond its input and output, what is
+// kept for the next time included.
 int64_t PeakBytes(const Denoiser& denoiser, int frame_side) {
   FramePlanes planes(PixelRect{0, 0, frame_side, frame_side});
   std::ranges::fill(planes.samples, 4u);
-  const int side = denoiser.window_px(DenoiseQuality::kFinal);
-  const PixelRect window =
-      PixelRect::FromSize((frame_side - side) / 2, (frame_side - side) / 2, side, side);
-  FilteredPlanes out(window);
+  const auto one_by_one = [](size_t count, const std::function<void(size_t)>& body) {
+    for (size_t i = 0; i < count; ++i) body(i);
+  };
   const int64_t before = heap_bytes;
   heap_bytes_max = before;
-  denoiser.Filter(planes, {planes.bounds, DenoiseQuality::kFinal}, window, &out);
+  const auto filter =
+      denoiser.MakeFrameFilter({planes.bounds, DenoiseQuality::kFinal}, planes.bounds);
+  filter->Filter(planes, {&planes.bounds, 1}, one_by_one, [](const FilteredPlanes&) {});
   return heap_bytes_max - before;
 }
 
-TEST(FilterMemory, DoesNotGrowWithTheFrame) {
+// At most 160 bytes a pixel for what is kept, and 18 MB for each thread.
+TEST(FilterMemory, IsBounded) {
   for (const std::string& name : DenoiserNames()) {
     const auto denoiser = *MakeDenoiser(name);
-    const int64_t peak = PeakBytes(*denoiser, 400);
-    // What lies within the halo is the same, but for some lists of pixels.
-    EXPECT_NEAR(static_cast<double>(PeakBytes(*denoiser, 520)), static_cast<double>(peak),
-                0.01 * static_cast<double>(peak)) << name;
-    RecordProperty(name, std::to_string(peak));
-    // Of `regression`, 37 MB: for each thread, so two threads stay below 200 bytes a pixel from
-    // frames of 820x460 on, and do not below.
-    EXPECT_LT(peak, 42'000'000) << name;
+    for (const int64_t side : {64, 256, 600}) {
+      if (side == 600 && name != DenoiserNames().front()) continue;
+      const int64_t peak = PeakBytes(*denoiser, static_cast<int>(side));
+      RecordProperty(name + std::to_string(side), std::to_string(peak));
+      EXPECT_LT(peak, 160 * side * side + 18'000'000) << name << ' ' << side;
+    }
   }
 }
 

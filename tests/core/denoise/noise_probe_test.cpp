@@ -29,7 +29,8 @@ BlendedPicture Shrunk(const RegressionInput& input, const SyntheticFrame& frame,
 TEST(NoiseCovariance, IsThePartThatTheFilterKeeps) {
   const SyntheticFrame frame = MakeSyntheticFrame(kFrame, 0.3f, 16, 4);
   const RegressionInput input(kFrame, kFrame, frame.planes);
-  const RegressionInput probed = ProbedInput(input);
+  RegressionInput probed = input;
+  Probe(&probed);
   for (const float keep : {0.0f, 0.25f, 1.0f}) {
     const Planes3 covariance = NoiseCovariance(input, probed, Shrunk(input, frame, keep),
                                                Shrunk(probed, frame, keep));
@@ -43,11 +44,13 @@ TEST(NoiseCovariance, IsThePartThatTheFilterKeeps) {
   }
 }
 
-TEST(ProbedInput, DependsOnThePixelAlone) {
+TEST(Probe, DependsOnThePixelAlone) {
   const SyntheticFrame frame = MakeSyntheticFrame(kFrame, 0.3f, 7, 4);
-  const RegressionInput whole = ProbedInput(RegressionInput(kFrame, kFrame, frame.planes));
+  RegressionInput whole(kFrame, kFrame, frame.planes);
+  Probe(&whole);
   const PixelRect window{40, 30, 50, 44};
-  const RegressionInput part = ProbedInput(RegressionInput(window, kFrame, frame.planes));
+  RegressionInput part(window, kFrame, frame.planes);
+  Probe(&part);
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
       const auto i = static_cast<size_t>(window.IndexOf(x, y));

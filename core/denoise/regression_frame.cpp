@@ -1,0 +1,254 @@
+#include "core/denoise/regression_frame.h"
+
+#include <algorithm>
+
+#include "core/base/check.h"
+#include "core/base/tile_grid.h"
+#include "core/denoise/box_sum.h"
+#include "core/denoise/noise_probe.h"
+#include "core/denoise/regression_input.h"
+#include "core/denoise/regression_picture.h"
+#include "core/statistics/calibration.h"
+
+namespace tessera {
+namespace {
+
+constexpr int kWindowRadiusPx = 9;
+constexpr int kLatticeStepPx = 5;
+// The pilot's variance is averaged over (2 r + 1)^2 pixels.
+constexpr int kPilotVarianceRadiusPx = 2;
+constexpr int kCrossPatchRadiusPx = 1;
+
+// The second pass compares patches of the pilot, in units of its variance plus this share of the
+// raw mean's, which stands for the pilot's bias.
+constexpr float kRawShare = 0.2f;
+constexpr int kPilotPatchRadiusPx = 1;
+
+// What each stage reads of those before it, pixels around what it makes.
+constexpr int kPassReachPx = PassReachPx(kWindowRadiusPx);
+constexpr int kCrossInputPx = kPassReachPx + kCrossPatchRadiusPx;
+constexpr int kPilotReachPx = kPassReachPx + kPilotPatchRadiusPx;
+constexpr int kFirstOfSecondPx = kPilotReachPx + kPilotVarianceRadiusPx;
+
+// How far news in the planes reach into each stage.
+constexpr int kFeatureNewsPx = kPrefilterRadiusPx;
+constexpr int kFirstNewsPx =
+    std::max(kCrossInputPx + kVarianceRadiusPx, kPassReachPx + kFeatureNewsPx);
+constexpr int kSecondNewsPx = kFirstOfSecondPx + kFirstNewsPx;
+static_assert(RegressionFrame::kReachPx == kPictureReachPx + kSecondNewsPx);
+
+// Sides of what is made at once: large against what is read around it, small against the memory of
+// its scratch (some 200 bytes a pixel).
+constexpr int kFeaturePartPx = 256;
+constexpr int kPassPartPx = 256;
+constexpr int kPicturePartPx = 128;
+
+// Copies what of `rect` lies in both bounds.
+void Copy(const PixelRect& from_bounds, const Plane& from, const PixelRect& rect,
+          const PixelRect& to_bounds, Plane* to) {
+  const PixelRect part = rect.Intersect(from_bounds).Intersect(to_bounds);
+  if (part.empty()) return;
+  for (int y = part.y_begin; y < part.y_end; ++y) {
+    std::copy_n(from.begin() + from_bounds.IndexOf(part.x_begin, y), part.width(),
+                to->begin() + to_bounds.IndexOf(part.x_begin, y));
+  }
+}
+
+// The part of a pass's result over `rect`, zero beyond `from`.
+PassOutput Part(const PassOutput& from, const PixelRect& rect) {
+  PassOutput part;
+  part.bounds = rect;
+  for (size_t half = 0; half < kNumHalves; ++half) {
+    for (size_t c = 0; c < 3; ++c) {
+      part.color[half][c].resize(SlackArea(rect));
+      Copy(from.bounds, from.color[half][c], rect, rect, &part.color[half][c]);
+    }
+  }
+  return part;
+}
+
+void Keep(const PassOutput& made, PassOutput* kept) {
+  for (size_t half = 0; half < kNumHalves; ++half) {
+    for (size_t c = 0; c < 3; ++c) {
+      Copy(made.bounds, made.color[half][c], made.bounds, kept->bounds, &kept->color[half][c]);
+    }
+  }
+}
+
+// The pilot over `bounds`, from the first pass `kPilotVarianceRadiusPx` further.
+Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const PixelRect& bounds) {
+  Pilot pilot;
+  pilot.bounds = bounds;
+  const PixelRect& read = first.bounds;
+  Plane known(static_cast<size_t>(read.area()));
+  Planes3 variance;
+  for (size_t c = 0; c < 3; ++c) {
+    pilot.color[c].resize(SlackArea(bounds));
+    variance[c].resize(known.size());
+  }
+  size_t i = 0;
+  for (int y = read.y_begin; y < read.y_end; ++y) {
+    auto p = static_cast<size_t>(input.bounds.IndexOf(read.x_begin, y));
+    for (int x = read.x_begin; x < read.x_end; ++x, ++i, ++p) {
+      if (input.known[p] == 0) continue;
+      known[i] = 1;
+      const float share_a = input.share_a[p];
+      const float share_b = 1.0f - share_a;
+      for (size_t c = 0; c < 3; ++c) {
+        const float a = first.color[0][c][i];
+        const float b = first.color[1][c][i];
+        variance[c][i] =
+            share_a * share_b * ((a - b) * (a - b)) + kRawShare * input.variance[c][p];
+        if (bounds.Contains(x, y)) {
+          pilot.color[c][static_cast<size_t>(bounds.IndexOf(x, y))] = share_a * a + share_b * b;
+        }
+      }
+    }
+  }
+  const Plane count = BoxSum(known, read, kPilotVarianceRadiusPx, bounds, kRowSlackPx);
+  for (size_t c = 0; c < 3; ++c) {
+    pilot.variance[c] = BoxSum(variance[c], read, kPilotVarianceRadiusPx, bounds, kRowSlackPx);
+    for (size_t k = 0; k < count.size(); ++k) {
+      pilot.variance[c][k] =
+          count[k] > 0 ? std::max(pilot.variance[c][k] / count[k], 1e-30f) : 1.0f;
+    }
+  }
+  return pilot;
+}
+
+}  // namespace
+
+RegressionFrame::RegressionFrame(const PixelRect& frame, const PixelRect& bounds)
+    : frame_(frame), bounds_(bounds.Intersect(frame)), stale_(kNumStages, StaleMask(bounds_)) {}
+
+int RegressionFrame::reach_px() const { return std::max(kReachPx, kCalibrationRadiusPx); }
+
+int64_t RegressionFrame::kept_bytes() const {
+  int64_t bytes = 0;
+  for (const StaleMask& mask : stale_) bytes += mask.bytes();
+  const auto add = [&](const auto& planes) {
+    for (const Plane& plane : planes) bytes += static_cast<int64_t>(sizeof(float) * plane.size());
+  };
+  add(features_.value);
+  add(features_.variance);
+  for (const PassPair* pair : {&first_, &second_}) {
+    for (const PassOutput& run : *pair) {
+      for (const Planes3& color : run.color) add(color);
+    }
+  }
+  return bytes;
+}
+
+void RegressionFrame::Allocate() {
+  if (features_.bounds == bounds_) return;
+  const auto area = static_cast<size_t>(bounds_.area());
+  features_.bounds = bounds_;
+  for (Plane& plane : features_.value) plane.resize(area);
+  for (Plane& plane : features_.variance) plane.resize(area);
+  for (PassPair* pair : {&first_, &second_}) {
+    for (PassOutput& run : *pair) {
+      run.bounds = bounds_;
+      for (Planes3& color : run.color) {
+        for (Plane& plane : color) plane.resize(area);
+      }
+    }
+  }
+}
+
+void RegressionFrame::Invalidate(const PixelRect& changed) {
+  stale_[kFeatures].Mark(changed.Expand(kFeatureNewsPx));
+  stale_[kFirst].Mark(changed.Expand(kFirstNewsPx));
+  stale_[kSecond].Mark(changed.Expand(kSecondNewsPx));
+}
+
+void RegressionFrame::Filter(const FramePlanes& planes, std::span<const PixelRect> windows,
+                             const ForEachPart& for_each_part,
+                             const std::function<void(const FilteredPlanes& part)>& put) {
+  struct Plan {
+    int around_px;  // the windows
+    int part_px;
+    int border_px;  // that a part costs beside itself
+  };
+  constexpr int kFirstPx = kPictureReachPx + kFirstOfSecondPx;
+  constexpr int kSumsPx = kPassReachPx - kWindowRadiusPx;
+  constexpr std::array<Plan, kNumStages> kPlans = {
+      Plan{kFirstPx + kPassReachPx, kFeaturePartPx, kPrefilterRadiusPx},
+      Plan{kFirstPx, kPassPartPx, kSumsPx}, Plan{kPictureReachPx, kPassPartPx, kSumsPx}};
+  Allocate();
+  for (size_t stage = 0; stage < kNumStages; ++stage) {
+    const Plan& plan = kPlans[stage];
+    std::vector<PixelRect> parts;
+    for (const PixelRect& window : windows) {
+      const PixelRect read = window.Expand(plan.around_px).Intersect(frame_);
+      TESSERA_CHECK(window.empty() || bounds_.Contains(read));
+      stale_[stage].Take(read, plan.part_px, plan.border_px, &parts);
+    }
+    for_each_part(parts.size(),
+                  [&](size_t i) { Make(static_cast<Stage>(stage), planes, parts[i]); });
+  }
+  const std::vector<PixelRect> parts = SplitWindows(windows, kPicturePartPx);
+  for_each_part(parts.size(), [&](size_t i) { put(Finish(planes, parts[i])); });
+}
+
+void RegressionFrame::Make(Stage stage, const FramePlanes& planes, const PixelRect& rect) {
+  switch (stage) {
+    case kFeatures: return MakeFeatures(planes, rect);
+    case kFirst: return MakeFirst(planes, rect);
+    default: return MakeSecond(planes, rect);
+  }
+}
+
+void RegressionFrame::MakeFeatures(const FramePlanes& planes, const PixelRect& rect) {
+  const RawFeatures raw(rect.Expand(kPrefilterRadiusPx), frame_, planes);
+  const SmoothFeatures made = PrefilterFeatures(raw, rect);
+  for (size_t k = 0; k < kNumFeatures; ++k) {
+    Copy(rect, made.value[k], rect, bounds_, &features_.value[k]);
+    Copy(rect, made.variance[k], rect, bounds_, &features_.variance[k]);
+  }
+}
+
+SmoothFeatures RegressionFrame::FeaturesOver(const PixelRect& rect) const {
+  SmoothFeatures part;
+  part.bounds = rect;
+  for (size_t k = 0; k < kNumFeatures; ++k) {
+    part.value[k].resize(SlackArea(rect));
+    part.variance[k].resize(SlackArea(rect));
+    Copy(bounds_, features_.value[k], rect, rect, &part.value[k]);
+    Copy(bounds_, features_.variance[k], rect, rect, &part.variance[k]);
+  }
+  return part;
+}
+
+void RegressionFrame::MakeFirst(const FramePlanes& planes, const PixelRect& rect) {
+  const SmoothFeatures features = FeaturesOver(rect.Expand(kPassReachPx));
+  RegressionInput input(rect.Expand(kCrossInputPx), frame_, planes);
+  for (size_t run = 0; run < kNumRuns; ++run) {
+    if (run == 1) Probe(&input);
+    Keep(RunCrossPass(input, features, {frame_, rect, kWindowRadiusPx, kLatticeStepPx}),
+         &first_[run]);
+  }
+}
+
+void RegressionFrame::MakeSecond(const FramePlanes& planes, const PixelRect& rect) {
+  const SmoothFeatures features = FeaturesOver(rect.Expand(kPassReachPx));
+  RegressionInput input(rect.Expand(kFirstOfSecondPx), frame_, planes);
+  for (size_t run = 0; run < kNumRuns; ++run) {
+    if (run == 1) Probe(&input);
+    const Pilot pilot =
+        MakePilot(input, Part(first_[run], input.bounds), rect.Expand(kPilotReachPx));
+    Keep(RunPilotPass(input, features, pilot, kPilotPatchRadiusPx,
+                      {frame_, rect, kWindowRadiusPx, kLatticeStepPx}),
+         &second_[run]);
+  }
+}
+
+FilteredPlanes RegressionFrame::Finish(const FramePlanes& planes, const PixelRect& window) const {
+  const PixelRect read = window.Expand(kPictureReachPx);
+  std::array<Candidates, kNumRuns> candidates;
+  for (size_t run = 0; run < kNumRuns; ++run) {
+    candidates[run] = {Part(first_[run], read), Part(second_[run], read)};
+  }
+  return BlendAndJudge(planes, frame_, candidates[0], candidates[1], window);
+}
+
+}  // namespace tessera

@@ -1,0 +1,157 @@
+#include "core/denoise/regression_picture.h"
+
+#include <algorithm>
+
+#include "core/denoise/box_sum.h"
+#include "core/denoise/confidence.h"
+#include "core/denoise/noise_probe.h"
+#include "core/denoise/regression_input.h"
+
+namespace tessera {
+namespace {
+
+// The picture over `pooled` and what is known of its error there.
+struct Filtered {
+  BlendedPicture picture;
+  // Squared error of each channel, right on average, not pooled.
+  Planes3 risk;
+  // What tells how bright a pixel truly is: the halves' product, whose mean is the true square,
+  // less the filtered square; and the variance of that product if the filtered value is true.
+  Planes3 excess, excess_variance;
+  Plane known;  // 1 or 0; all planes are 0 where it is
+};
+
+// Fills known, excess and excess_variance.
+void CompareSquares(const RegressionInput& input, Filtered* filtered) {
+  const PixelRect& bounds = filtered->picture.bounds;
+  filtered->known.resize(static_cast<size_t>(bounds.area()));
+  for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+    std::copy_n(input.known.begin() + input.bounds.IndexOf(bounds.x_begin, y), bounds.width(),
+                filtered->known.begin() + bounds.IndexOf(bounds.x_begin, y));
+  }
+  for (size_t c = 0; c < 3; ++c) {
+    filtered->excess[c].resize(static_cast<size_t>(bounds.area()));
+    filtered->excess_variance[c].resize(filtered->excess[c].size());
+    size_t i = 0;
+    for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
+      auto p = static_cast<size_t>(input.bounds.IndexOf(bounds.x_begin, y));
+      for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++i, ++p) {
+        if (input.known[p] == 0) continue;
+        const float value = filtered->picture.color[c][i];
+        const float shares = input.share_a[p] * (1.0f - input.share_a[p]);
+        const float variance = input.variance[c][p];
+        filtered->excess[c][i] = input.color[0][c][p] * input.color[1][c][p] - value * value;
+        // Of halves with the variances v / share_a and v / share_b.
+        filtered->excess_variance[c][i] = variance * (value * value + variance) / shares;
+      }
+    }
+  }
+}
+
+// The estimate of the error has no bias but what features share with the noise.
+Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
+                        const Candidates& candidates, const Candidates& probed_candidates,
+                        const PixelRect& inside) {
+  Filtered filtered;
+  filtered.picture = BlendByRisk(input, frame, candidates, inside);
+  filtered.risk = filtered.picture.residual;
+  CompareSquares(input, &filtered);
+  RegressionInput probed = input;
+  Probe(&probed);
+  const BlendedPicture probed_picture = BlendByRisk(probed, frame, probed_candidates, inside);
+  const Planes3 covariance = NoiseCovariance(input, probed, filtered.picture, probed_picture);
+  for (size_t c = 0; c < 3; ++c) {
+    for (size_t i = 0; i < filtered.risk[c].size(); ++i) {
+      filtered.risk[c][i] += 2.0f * covariance[c][i];
+    }
+  }
+  return filtered;
+}
+
+// The sums of a filtered picture's errors around each pixel of a window.
+struct PooledErrors {
+  PooledErrors(const Filtered& filtered, const PixelRect& window) {
+    const PixelRect& bounds = filtered.picture.bounds;
+    count = BoxSum(filtered.known, bounds, kRiskRadiusPx, window);
+    for (size_t c = 0; c < 3; ++c) {
+      risk[c] = BoxSum(filtered.risk[c], bounds, kRiskRadiusPx, window);
+      noise[c] = BoxSum(filtered.picture.noise[c], bounds, kRiskRadiusPx, window);
+    }
+  }
+  Plane count;  // of known pixels
+  Planes3 risk, noise;
+};
+
+// The square of the true value of the known pixel (x, y), to weigh its error with: the filtered
+// value's square, moved toward what the halves of the eight pixels around say as far as that stands
+// out of their noise (James & Stein's positive part). The pixel's own halves are left out, for they
+// are in its error.
+float TrueSquare(const Filtered& filtered, size_t c, int x, int y) {
+  const PixelRect& bounds = filtered.picture.bounds;
+  float count = 0, excess = 0, variance = 0;
+  for (int near_y = y - 1; near_y <= y + 1; ++near_y) {
+    for (int near_x = x - 1; near_x <= x + 1; ++near_x) {
+      if (!bounds.Contains(near_x, near_y) || (near_x == x && near_y == y)) continue;
+      const auto i = static_cast<size_t>(bounds.IndexOf(near_x, near_y));
+      count += filtered.known[i];
+      excess += filtered.excess[c][i];
+      variance += filtered.excess_variance[c][i];
+    }
+  }
+  const float value = filtered.picture.color[c][static_cast<size_t>(bounds.IndexOf(x, y))];
+  if (!(count > 0)) return value * value;
+  const float square = excess * excess;
+  const float part = square > variance ? 1.0f - variance / square : 0.0f;
+  return std::max(value * value + part * (excess / count), 0.0f);
+}
+
+// Writes the known pixel (x, y), `w` in the pooled planes.
+void WritePixel(const Filtered& filtered, const PooledErrors& pooled, int x, int y, size_t w,
+                FilteredPlanes* out) {
+  const auto i = static_cast<size_t>(filtered.picture.bounds.IndexOf(x, y));
+  const auto to = static_cast<size_t>(out->bounds.IndexOf(x, y));
+  for (size_t c = 0; c < 3; ++c) {
+    const float value = std::max(filtered.picture.color[c][i], 0.0f);
+    out->color[c][to] = value;
+    out->error[c][to] =
+        HalfWidth95(std::max(pooled.risk[c][w], pooled.noise[c][w]) / pooled.count[w]);
+    const float scale = 1.0f / (TrueSquare(filtered, c, x, y) + kRelMseEpsilon);
+    out->relative_error[to] += filtered.risk[c][i] * scale;
+    out->relative_noise[to] += filtered.picture.noise[c][i] * scale;
+  }
+}
+
+// Writes the pixel (x, y) that stays raw.
+void WriteRaw(const FramePlanes& planes, int x, int y, FilteredPlanes* out) {
+  const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
+  const auto to = static_cast<size_t>(out->bounds.IndexOf(x, y));
+  for (size_t c = 0; c < 3; ++c) {
+    out->color[c][to] = planes.color[c][p];
+    out->error[c][to] = planes.samples[p] >= 2 ? HalfWidth95(planes.variance[c][p]) : kInfinity;
+  }
+  SetRelativeError(PixelRect::FromSize(x, y, 1, 1), out);
+}
+
+}  // namespace
+
+FilteredPlanes BlendAndJudge(const FramePlanes& planes, const PixelRect& frame,
+                             const Candidates& candidates, const Candidates& probed,
+                             const PixelRect& window) {
+  const RegressionInput input(window.Expand(kPictureReachPx), frame, planes);
+  const PixelRect inside = window.Expand(kRiskRadiusPx).Intersect(frame);
+  const Filtered filtered = FilterAndJudge(input, frame, candidates, probed, inside);
+  const PooledErrors errors(filtered, window);
+  FilteredPlanes out(window);
+  size_t w = 0;
+  for (int y = window.y_begin; y < window.y_end; ++y) {
+    for (int x = window.x_begin; x < window.x_end; ++x, ++w) {
+      const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
+      bool is_raw = planes.samples[p] < 2;
+      for (size_t c = 0; c < 3; ++c) is_raw |= !(planes.color[c][p] < kRegressionValueMax);
+      is_raw ? WriteRaw(planes, x, y, &out) : WritePixel(filtered, errors, x, y, w, &out);
+    }
+  }
+  return out;
+}
+
+}  // namespace tessera
