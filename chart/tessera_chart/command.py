@@ -1,14 +1,16 @@
 """The command `tessera chart`."""
 
 import argparse
+import functools
 import os
 import pathlib
 import shutil
 import sys
+import threading
 
 from tqdm import tqdm
 
-from tessera_chart import ladder, methods, peers_of, programs, results, views
+from tessera_chart import ladder, lanes, methods, oidn, peers_of, programs, results, views
 from tessera_chart.errors import BadInput
 
 EXIT_BAD_INPUT, EXIT_CANCELLED = 2, 4
@@ -25,7 +27,8 @@ A scene may carry a name and its own flags in one argument:
                  --fov-y 65" cornell.glb -o charts
 Methods: raw; every filter of tessera (NAME, and NAME-preview where previews are another filter);
 NAME-best, the best thresholds of a filter that has any, found with the reference in hand for each
-scene and sample count; adaptive (--target-error) and cycles (Blender), if named; oidn, if given.
+scene and sample count; adaptive (--target-error) and cycles (Blender), if named; oidn and oidn-hq,
+if given.
 Exit codes: 0 done, 2 bad input, 4 stopped."""
 
 
@@ -38,16 +41,20 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--spp", default="4,16,64,256", metavar="LIST",
                         help="sample counts (4,16,64,256)")
     parser.add_argument("--size", default="320x180", metavar="WxH", help="pixels (320x180)")
+    parser.add_argument("--frame", metavar="WxH", help="say times and bytes for a frame of this size, "
+                        "in proportion to pixels (--size)")
     parser.add_argument("--seeds", type=int, default=3, metavar="N",
                         help="runs for the error bars (3)")
     parser.add_argument("--reference", metavar="SPP|FILE[,FILE]",
                         help="samples of each of two references (4 times the most of --spp); or one "
                         "picture or two independent ones of the same view and size")
     parser.add_argument("--threads", type=int, metavar="N", help="of the renders (all)")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="views measured side by side, "
+                        "each with its share of the threads (1)")
     parser.add_argument("--oidn", metavar="PROGRAM", help="runs OIDN's network: PROGRAM WEIGHTS.tza "
-                        "IN.exr OUT.exr, prints total_ms and cpu_ms")
+                        "[--mode alb|nrm] IN.exr... OUT.exr, prints total_ms and cpu_ms")
     parser.add_argument("--oidn-weights", type=pathlib.Path, metavar="DIR",
-                        help="with rt_hdr_alb_nrm.tza")
+                        help="with rt_hdr_alb_nrm.tza, rt_alb_large.tza, ...")
     parser.add_argument("--tessera", metavar="PROGRAM", help=argparse.SUPPRESS)
     parser.add_argument("--quiet", action="store_true", help="no progress, no sentences")
     view = parser.add_argument_group("views, of all scenes (as of tessera render)")
@@ -67,14 +74,23 @@ def whole_numbers(text: str, flag: str) -> list[int]:
     return numbers
 
 
-def make_plan(args: argparse.Namespace) -> ladder.Plan:
+def check_size(text: str, flag: str) -> None:
     """Errors: BadInput."""
     try:
-        width, height = map(int, args.size.split("x"))
+        width, height = map(int, text.split("x"))
     except ValueError as error:
-        raise BadInput(f"--size {args.size}: must be WIDTHxHEIGHT, such as 320x180") from error
+        raise BadInput(f"{flag} {text}: must be WIDTHxHEIGHT, such as 320x180") from error
     if min(width, height) < 16 or max(width, height) > 8192:
-        raise BadInput(f"--size {args.size}: each side must be 16 to 8192 pixels")
+        raise BadInput(f"{flag} {text}: each side must be 16 to 8192 pixels")
+
+
+def make_plan(args: argparse.Namespace) -> ladder.Plan:
+    """Errors: BadInput."""
+    check_size(args.size, "--size")
+    if args.frame:
+        check_size(args.frame, "--frame")
+    if not 1 <= args.jobs <= 64:
+        raise BadInput(f"--jobs {args.jobs}: must be 1 to 64")
     if not 1 <= args.seeds <= 100:
         raise BadInput(f"--seeds {args.seeds}: must be 1 to 100")
     spp = whole_numbers(args.spp, "--spp")
@@ -89,20 +105,23 @@ def make_plan(args: argparse.Namespace) -> ladder.Plan:
                 raise BadInput(f"--reference {path}: no such file; give sample counts or pictures")
         if len(references) > 2 or len(args.scenes) > 1:
             raise BadInput("--reference: one picture or two, of one scene")
-    oidn, weights = args.oidn and shutil.which(args.oidn), None
+    network = args.oidn and shutil.which(args.oidn)
     if args.oidn:
-        if oidn is None:
+        if network is None:
             raise BadInput(f"--oidn {args.oidn}: no such program")
         if args.oidn_weights is None:
             raise BadInput("--oidn: needs --oidn-weights FOLDER")
-        weights = methods.oidn_weights(args.oidn_weights)
+        oidn.check(args.oidn_weights)
     tessera = programs.Tessera(args.tessera)
-    chosen = methods.choose(args.methods, tessera.denoisers(), oidn is not None)
+    chosen = methods.choose(args.methods, tessera.denoisers(), network is not None)
     if any(m.name == methods.ADAPTIVE for m in chosen) and not any(
             m.name == "regression" for m in chosen):
         raise BadInput("--methods adaptive: is given regression's errors as targets: name both")
+    threads = args.threads
+    if args.jobs > 1 and not threads:
+        threads = max(1, os.cpu_count() // args.jobs)
     return ladder.Plan(tessera, chosen, spp, list(range(1, args.seeds + 1)), args.size,
-                       reference_spp, references, args.threads, oidn, weights)
+                       reference_spp, references, threads, network, args.oidn_weights, args.frame)
 
 
 def view_flags(args: argparse.Namespace) -> list[str]:
@@ -114,24 +133,34 @@ def view_flags(args: argparse.Namespace) -> list[str]:
     return flags
 
 
-def work_through(ladders: list[ladder.Ladder], quiet: bool) -> None:
-    """Runs all tasks with a bar; a task that is done already takes no time."""
-    tasks = [(each, task) for each in ladders for task in each.tasks()]
-    total = sum(task.weight for _, task in tasks)
+def work_through(ladders: list[ladder.Ladder], quiet: bool, num_lanes: int = 1) -> None:
+    """Runs all tasks with a bar, `num_lanes` ladders at once; a task that is done already takes no
+    time."""
+    work = [(each, each.tasks()) for each in ladders]
+    total = sum(task.weight for _, tasks in work for task in tasks)
     shown = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}, {remaining} left"
     with tqdm(total=total, bar_format=shown, disable=quiet or not sys.stderr.isatty(),
               leave=False) as bar:
-        for each, task in tasks:
-            bar.set_description_str(f"{each.view.name}, {task.label}")
-            task.run()
-            bar.update(task.weight)
+        lock = threading.Lock()
+
+        def climb(each: ladder.Ladder, tasks: list[ladder.Task]) -> None:
+            for task in tasks:
+                with lock:
+                    bar.set_description_str(f"{each.view.name}, {task.label}")
+                task.run()
+                with lock:
+                    bar.update(task.weight)
+
+        lanes.run([functools.partial(climb, *piece) for piece in work], num_lanes)
 
 
 def intro(plan: ladder.Plan, version: str) -> list[str]:
     reference = (" and ".join(map(str, plan.references)) if plan.references
                  else f"two pictures of {plan.reference_spp} samples per pixel with other seeds")
+    scaled = (f" Times and bytes are in proportion to pixels, for a frame of {plan.frame}; loading is "
+              "counted once." if plan.frame else "")
     return [
-        f"{version}, {plan.size} pixels, {len(plan.seeds)} seeds, {os.cpu_count()} cores. "
+        f"{version}, {plan.size} pixels, {len(plan.seeds)} seeds, {os.cpu_count()} cores.{scaled} "
         f"References: {reference}. relMSE is (x-r1)(x-r2) / (r^2 + 0.01), free of the references' "
         "own noise on average; below the dotted line it is uncertain all the same. Points are means "
         "over the seeds, bars reach from the least seed to the greatest.",
@@ -144,12 +173,17 @@ def intro(plan: ladder.Plan, version: str) -> list[str]:
         "point by the last two (said so)."]
 
 
+def title_of(name: str, size: str, frame: str | None) -> str:
+    """Of a scene's charts."""
+    return f"{name}, {size} pixels" + (f", times for a frame of {frame}" if frame else "")
+
+
 def write_all(ladders: list[ladder.Ladder], plan: ladder.Plan, folder: pathlib.Path) -> list[str]:
     """Writes everything from what is finished; returns the sentences."""
     rows = [row for each in ladders for row in each.points()]
     finished = [each for each in ladders if any(r["scene"] == each.view.name for r in rows)]
     version = plan.tessera.version()
-    settings = {"version": version, "size": plan.size, "spp": plan.spp, "seeds": plan.seeds,
+    settings = {"version": version, "size": plan.size, "frame": plan.frame, "spp": plan.spp, "seeds": plan.seeds,
                 "reference_spp": None if plan.references else plan.reference_spp,
                 "cores": os.cpu_count(),
                 "noise_floor": {e.view.name: e.reference().noise_floor() for e in finished}}
@@ -164,7 +198,7 @@ def write_all(ladders: list[ladder.Ladder], plan: ladder.Plan, folder: pathlib.P
     for each in finished:
         name, floor = each.view.name, settings["noise_floor"][each.view.name]
         by_method = results.means_of(rows, name)
-        drawing.draw_scene(by_method, f"{name}, {plan.size} pixels", floor, charts / name)
+        drawing.draw_scene(by_method, title_of(name, plan.size, plan.frame), floor, charts / name)
         sentences.append(results.sentence(name, by_method))
         scenes.append({"name": name, "sentence": sentences[-1], "chart": charts / f"{name}.svg",
                        "multipliers": results.multipliers(by_method),
@@ -192,7 +226,7 @@ def run(args: argparse.Namespace) -> int:
     ladders = [ladder.Ladder(plan, view, args.output / "work") for view in chosen]
     stopped = False
     try:
-        work_through(ladders, args.quiet)
+        work_through(ladders, args.quiet, args.jobs)
     except KeyboardInterrupt:
         stopped = True
         print("tessera chart: stopped; writing what is finished", file=sys.stderr)

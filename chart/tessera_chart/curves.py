@@ -6,8 +6,9 @@ import math
 def interpolate(xs: list[float], ys: list[float], x: float) -> tuple[float, bool] | None:
     """y at x, straight in log-log; the flag says that x lies beyond the last point.
 
-    Beyond the last point the last two points' line goes on, up to four times its x. None below the
-    first point, beyond that, or where a needed y is not positive.
+    Beyond the last point the last two points' line goes on, up to four times its x, but it neither
+    rises nor falls faster than 1 / x. None below the first point, beyond that, or where a needed y
+    is not positive.
     """
     points = sorted((a, b) for a, b in zip(xs, ys) if a > 0 and b > 0)
     if not points or x < points[0][0] or x > 4 * points[-1][0]:
@@ -19,8 +20,12 @@ def interpolate(xs: list[float], ys: list[float], x: float) -> tuple[float, bool
         if x0 <= x <= x1 or (beyond and (x1, y1) == points[-1]):
             if x1 == x0:
                 return min(y0, y1), beyond
-            share = math.log(x / x0) / math.log(x1 / x0)
-            return y0 * (y1 / y0) ** share, beyond
+            slope = math.log(y1 / y0) / math.log(x1 / x0)
+            if beyond:
+                # Two points with noise may say anything; samples do not gain more than 1 / x.
+                slope = min(0.0, max(-1.0, slope))
+                x0, y0 = x1, y1
+            return y0 * (x / x0) ** slope, beyond
     return None
 
 

@@ -21,6 +21,7 @@ STYLES = {
     "geometric-best": ("#F0A060", "^", "--"), "nlm": ("#CC79A7", "D", "-"),
     "nlm-preview": ("#E0B0CC", "D", "--"), "welch": ("#B8A800", "v", "-"),
     "welch-preview": ("#DDD480", "v", "--"), "oidn": ("#000000", "P", "-"),
+    "oidn-hq": ("#8C8C8C", "P", "--"),
     "adaptive": ("#4B0092", "X", "-."), "cycles": ("#994F00", "*", ":")}
 SPARE = ("#1A85FF", "#D41159", "#40B0A6", "#E1BE6A", "#5D3A9B")
 
@@ -123,7 +124,7 @@ def draw_scene(by_method: dict, title: str, floor: float, path: pathlib.Path,
             if row == len(ERRORS) - 1:
                 grid[row][at].set_xlabel(cost_text)
         grid[row][0].set_ylabel(error_text)
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(title, fontsize=11, y=0.94)
     shared_legend(figure, [a for row in grid for a in row], loc="center left",
                   bbox_to_anchor=(0.91, 0.5))
     save(figure, path, png)

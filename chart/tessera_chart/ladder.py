@@ -3,17 +3,19 @@
 Each piece of work is a task whose result lies in a Store; a finished one is not done again.
 """
 
+import collections
 import dataclasses
 import pathlib
-import re
+import threading
 from typing import Callable
 
-from tessera_chart import measures, methods, peers_of, programs
-from tessera_chart.errors import BadInput
+from tessera_chart import measures, methods, oidn, peers_of, programs
 from tessera_chart.store import Store
 from tessera_chart.views import View
 
 REFERENCE_SEEDS = (1001, 1002)
+# By folder of references: views that share one must not render it at the same time.
+_reference_locks: dict[pathlib.Path, threading.Lock] = collections.defaultdict(threading.Lock)
 
 
 @dataclasses.dataclass
@@ -30,10 +32,20 @@ class Plan:
     threads: int | None
     oidn: str | None = None
     oidn_weights: pathlib.Path | None = None
+    frame: str | None = None  # times and bytes are said for a frame of this size
+    is_timed: bool = True  # else CPU times are not to be used: what only they need is not run
 
     def pixels(self) -> int:
-        width, height = map(int, self.size.split("x"))
-        return width * height
+        return pixels_of(self.size)
+
+    def scale(self) -> float:
+        """Of times and bytes."""
+        return pixels_of(self.frame) / self.pixels() if self.frame else 1.0
+
+
+def pixels_of(size: str) -> int:
+    width, height = map(int, size.split("x"))
+    return width * height
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,13 +71,54 @@ def cpu_times(counts: list[int], process_s: list[float], nothing_s: float) -> tu
     return max(0.0, last - per_spp * added[-1]), per_spp
 
 
+class _Costs:
+    """Times and bytes of one seed's ladder."""
+
+    def __init__(self, plan: Plan, steps: list[dict], nothing_s: float | None):
+        self._plan, self._steps = plan, steps
+        self._nothing_s = nothing_s
+        self.load_s = steps[0]["seconds"]["load"]
+        self.load_cpu_s, self._cpu_per_spp = 0.0, 0.0
+        if plan.is_timed:
+            self.load_cpu_s, self._cpu_per_spp = cpu_times(
+                plan.spp, [s["process_cpu_s"] for s in steps], nothing_s)
+
+    def of_step(self, at: int) -> dict:
+        """Of all samples up to a step of the ladder."""
+        steps = self._steps[:at + 1]
+        return {"render_s": self.load_s + sum(s["seconds"]["render"] for s in steps),
+                "render_cpu_s": self.load_cpu_s + self._cpu_per_spp * self._plan.spp[at],
+                "bytes": sum(s["bytes"]["deltas"] for s in steps)}
+
+    def of_adaptive(self, row: dict, filter_cpu_s: float) -> float:
+        """CPU seconds of sampling and filtering until the target: those of the process less those
+        of one that does nothing. That one reads and writes a film, which is too much to take off:
+        at least its samples and one filtering are charged."""
+        least = self.load_cpu_s + self._cpu_per_spp * row["own_spp"] + filter_cpu_s
+        return max(least, row["render_cpu_s"] - self._nothing_s)
+
+    def scaled(self, row: dict) -> dict:
+        """For the plan's frame: all but loading is in proportion to pixels. With totals."""
+        scale = self._plan.scale()
+        is_ours = row["method"] != methods.CYCLES  # whose times are without loading
+        for column, load in (("render_s", self.load_s), ("render_cpu_s", self.load_cpu_s)):
+            load = min(load, row[column]) if is_ours else 0.0
+            row[column] = load + (row[column] - load) * scale
+        for column in ("filter_s", "filter_cpu_s", "bytes"):
+            row[column] = row[column] and row[column] * scale
+        row["total_s"] = row["render_s"] + row["filter_s"]
+        row["total_cpu_s"] = row["render_cpu_s"] + row["filter_cpu_s"]
+        return row
+
+
 class Ladder:
     """One view's work and results."""
 
     def __init__(self, plan: Plan, view: View, work: pathlib.Path):
         self.plan, self.view = plan, view
-        digest = view.digest(plan.size, plan.tessera.version())
-        self.store = Store(work / f"{view.name}-{digest}")
+        version = plan.tessera.version()
+        self.store = Store(work / f"{view.name}-{view.digest(plan.size, version)}")
+        self.shared = Store(work / f"reference-{view.picture_digest(plan.size, version)}")
         self._reference: measures.Reference | None = None
 
     # Work.
@@ -86,7 +139,8 @@ class Ladder:
                 todo.append(Task(f"{spp} spp", weight,
                                  lambda a=(seed, spp, before): self._render_step(*a)))
                 before = spp
-            todo.append(Task("start-up", 0.4, lambda s=seed: self._render_nothing(s)))
+            if plan.is_timed:
+                todo.append(Task("start-up", 0.4, lambda s=seed: self._render_nothing(s)))
             for spp in plan.spp:
                 for method in self.plan.methods:
                     runner, weight = self._runner(method)
@@ -99,10 +153,12 @@ class Ladder:
     def _runner(self, method: methods.Method):
         """What measures it, and its weight (0: as a filter)."""
         plan = self.plan
+        if method.name == methods.RAW:
+            return self._measure_raw, 0.02
         if method.denoiser:
             return self._measure_filter, 0
         at_mean_spp = plan.pixels() * sum(plan.spp) / len(plan.spp) / 1e6
-        return {methods.OIDN: (self._measure_oidn, 0),
+        return {methods.OIDN: (self._measure_oidn, 0), methods.OIDN_HQ: (self._measure_oidn, 0),
                 methods.ADAPTIVE: (self._measure_adaptive, 1 + at_mean_spp),
                 methods.CYCLES: (self._measure_cycles, 3 + at_mean_spp)}[method.name]
 
@@ -113,12 +169,13 @@ class Ladder:
 
     def _render_reference(self, seed: int) -> None:
         key = f"reference.{self.plan.reference_spp}.{seed}"
-        if self.store.get(key):
-            return
-        figures, _ = self.plan.tessera.run(
-            "render", *self._render_flags(self.plan.reference_spp, seed), "--denoiser", "none",
-            "--layers", "final", "-o", self.store.path(key + ".exr"))
-        self.store.put(key, figures)
+        with _reference_locks[self.shared.folder]:
+            if self.shared.get(key):
+                return
+            figures, _ = self.plan.tessera.run(
+                "render", *self._render_flags(self.plan.reference_spp, seed), "--denoiser", "none",
+                "--layers", "final", "-o", self.shared.path(key + ".exr"))
+            self.shared.put(key, figures)
 
     def _film(self, seed: int, spp: int) -> pathlib.Path:
         return self.store.path(f"{seed}.{spp}.film.exr")
@@ -148,6 +205,13 @@ class Ladder:
     def _measured(self, picture: pathlib.Path, reference: measures.Reference) -> dict:
         return dataclasses.asdict(reference.errors(measures.read_rgb(picture)))
 
+    def _measure_raw(self, method: methods.Method, seed: int, spp: int) -> None:
+        """The film's own colour is the raw picture."""
+        key = f"{seed}.{spp}.{method.name}"
+        if not self.store.get(key):
+            self.store.put(key, {"filter_s": 0.0, "filter_cpu_s": 0.0,
+                                 **self._measured(self._film(seed, spp), self.reference())})
+
     def _measure_filter(self, method: methods.Method, seed: int, spp: int) -> None:
         key = f"{seed}.{spp}.{method.name}"
         if self.store.get(key):
@@ -160,8 +224,6 @@ class Ladder:
         result = {"filter_s": figures["seconds"]["filter"],
                   "filter_cpu_s": figures["cpu_seconds"]["filter"],
                   **self._measured(picture, self.reference())}
-        if method.name == methods.RAW:
-            result["filter_s"] = result["filter_cpu_s"] = 0.0
         if options is not None:
             result["options"], result["options_tried"] = options, tried
         if seed != self.plan.seeds[0]:
@@ -194,19 +256,13 @@ class Ladder:
         key = f"{seed}.{spp}.{method.name}"
         if self.store.get(key):
             return
-        noisy, picture = self.store.path("noisy.exr"), self.picture(method.name, seed, spp)
-        self.plan.tessera.run("denoise", self._film(seed, spp), "-o", noisy, "--layers",
-                              "final,albedo,normal", "--denoiser", "none")
-        said = programs.run([self.plan.oidn, str(self.plan.oidn_weights), str(noisy),
-                             str(picture)]).stdout
-        noisy.unlink()
-        wall = re.search(r"(?<!network_ms )total_ms ([0-9.]+)", said)
-        cpu = re.search(r"cpu_ms ([0-9.]+)", said)
-        if not wall or not cpu:
-            raise BadInput(f"--oidn {self.plan.oidn}: prints no total_ms and cpu_ms")
-        self.store.put(key, {"filter_s": float(wall.group(1)) / 1e3,
-                             "filter_cpu_s": float(cpu.group(1)) / 1e3,
-                             **self._measured(picture, self.reference())})
+        picture = self.picture(method.name, seed, spp)
+        wall_s, cpu_s = oidn.denoise(self.plan.oidn, self.plan.oidn_weights, method.name,
+                                     self._film(seed, spp), picture, self.plan.threads)
+        result = self._measured(picture, self.reference())
+        if seed != self.plan.seeds[0]:
+            picture.unlink()
+        self.store.put(key, {"filter_s": wall_s, "filter_cpu_s": cpu_s, **result})
 
     def _measure_adaptive(self, method: methods.Method, seed: int, spp: int) -> None:
         """Sampling by --target-error, the target being what the same samples everywhere reached."""
@@ -243,13 +299,15 @@ class Ladder:
     def reference(self) -> measures.Reference:
         if self._reference is None:
             paths = self.plan.references or [
-                self.store.path(f"reference.{self.plan.reference_spp}.{s}.exr")
+                self.shared.path(f"reference.{self.plan.reference_spp}.{s}.exr")
                 for s in REFERENCE_SEEDS]
             self._reference = measures.Reference(*map(measures.read_rgb, paths))
         return self._reference
 
     def picture(self, method: str, seed: int, spp: int) -> pathlib.Path:
         """The EXR; kept for the first seed."""
+        if method == methods.RAW:
+            return self._film(seed, spp)
         return self.store.path(f"{seed}.{spp}.{method}.exr")
 
     def points(self) -> list[dict]:
@@ -257,36 +315,24 @@ class Ladder:
         rows = []
         for seed in self.plan.seeds:
             steps = [self.store.get(f"{seed}.{spp}.render") for spp in self.plan.spp]
-            nothing = self.store.get(f"{seed}.nothing")
-            if nothing is None or None in steps:
+            nothing_s = (self.store.get(f"{seed}.nothing") or {}).get("process_cpu_s")
+            if None in steps or (nothing_s is None and self.plan.is_timed):
                 continue
-            load_cpu_s, cpu_per_spp = cpu_times(
-                self.plan.spp, [s["process_cpu_s"] for s in steps], nothing["process_cpu_s"])
-            wall, sent = steps[0]["seconds"]["load"], 0
-            for spp, step in zip(self.plan.spp, steps):
-                wall += step["seconds"]["render"]
-                sent += step["bytes"]["deltas"]
+            costs = _Costs(self.plan, steps, nothing_s)
+            for at, spp in enumerate(self.plan.spp):
                 shared = {"scene": self.view.name, "seed": seed, "spp": spp, "own_spp": spp,
-                          "render_s": wall, "render_cpu_s": load_cpu_s + cpu_per_spp * spp,
-                          "bytes": sent}
+                          **costs.of_step(at)}
                 for method in self.plan.methods:
                     found = self.store.get(f"{seed}.{spp}.{method.name}")
                     if found is not None:
-                        row = self._row(method.name, shared, found)
-                        if method.name == methods.ADAPTIVE:
-                            # Its process reads and writes no film, so `nothing` is too much: at
-                            # least its samples and one filtering are charged.
-                            once = self.store.get(f"{seed}.{spp}.regression")["filter_cpu_s"]
-                            least = load_cpu_s + cpu_per_spp * row["own_spp"] + once
-                            row["total_cpu_s"] = max(
-                                least, row["total_cpu_s"] - nothing["process_cpu_s"])
-                        rows.append(row)
+                        rows.append(self._row(method.name, shared, found, costs))
         return rows
 
-    def _row(self, method: str, shared: dict, found: dict) -> dict:
+    def _row(self, method: str, shared: dict, found: dict, costs: _Costs) -> dict:
         row = {"method": method, "filter_s": 0.0, "filter_cpu_s": 0.0, **shared, **found}
         if method == methods.CYCLES:
             row.update(peers_of.proportional_times(self.plan, self.store, row), bytes=None)
-        row["total_s"] = row["render_s"] + row["filter_s"]
-        row["total_cpu_s"] = row["render_cpu_s"] + row["filter_cpu_s"]
-        return row
+        elif method == methods.ADAPTIVE and self.plan.is_timed:
+            once = self.store.get(f"{row['seed']}.{row['spp']}.regression")["filter_cpu_s"]
+            row["render_cpu_s"] = costs.of_adaptive(row, once)
+        return costs.scaled(row)

@@ -15,6 +15,7 @@ from tessera_chart.errors import BadInput
 
 RELATIVE_FLOOR = 0.01
 TRIMMED_SHARE = 0.001
+BLOTCH_PX = 16  # wavelengths from here on count as blotches
 PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * numpy.pi / 180  # the paper's screen: 67.02
 
 
@@ -38,6 +39,8 @@ class Errors:
     rel_mse: float
     rel_mse_trimmed: float
     flip: float
+    blotches: float  # relMSE's part at wavelengths of BLOTCH_PX and more, the mean's error with it
+    bias: float  # of the mean over the frame and channels, relative to the reference's
 
 
 class Reference:
@@ -66,12 +69,26 @@ class Reference:
         product = (picture - self.first) * (picture - self.second)
         return (product / (self.mean ** 2 + RELATIVE_FLOOR)).mean(axis=2)
 
+    def power(self, picture: numpy.ndarray) -> tuple[numpy.ndarray, numpy.ndarray]:
+        """Frequencies (cycles a pixel, ascending) and the relative error's power at each, whose sum
+        is relMSE (Parseval); with two references free of their noise on average."""
+        scale = numpy.sqrt(self.mean ** 2 + RELATIVE_FLOOR)
+        first, second = (numpy.fft.fft2((picture - r) / scale, axes=(0, 1), norm="forward")
+                         for r in (self.first, self.second))
+        power = (first * second.conj()).real.mean(axis=2)
+        height, width = power.shape
+        frequency = numpy.hypot(numpy.fft.fftfreq(height)[:, None], numpy.fft.fftfreq(width)).ravel()
+        order = numpy.argsort(frequency, kind="stable")
+        return frequency[order], power.ravel()[order]
+
     def errors(self, picture: numpy.ndarray) -> Errors:
+        frequency, power = self.power(picture)
         by_pixel = numpy.sort(self.relative_errors(picture).ravel())
         num_trimmed = min(max(round(by_pixel.size * TRIMMED_SHARE), 1), by_pixel.size - 1)
         flip = _flip(_Seen(srgb_encode(picture)), self._seen)
         return Errors(float(by_pixel.mean()), float(by_pixel[:by_pixel.size - num_trimmed].mean()),
-                      flip)
+                      flip, float(power[frequency <= 1 / BLOTCH_PX].sum()),
+                      float(picture.mean() / self.mean.mean() - 1))
 
 
 def srgb_encode(linear: numpy.ndarray) -> numpy.ndarray:

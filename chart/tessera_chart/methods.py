@@ -9,7 +9,7 @@ from tessera_chart.errors import BadInput
 RAW = "raw"
 ADAPTIVE = "adaptive"
 CYCLES = "cycles"
-OIDN = "oidn"
+OIDN, OIDN_HQ = "oidn", "oidn-hq"
 ORACLE_SUFFIX = "-best"
 
 # What a filter's numbers are tried at when the best are searched; names as the program has them.
@@ -58,10 +58,10 @@ def choose(text: str | None, denoisers: list[dict], oidn: bool) -> list[Method]:
 
     Errors: BadInput naming what is known.
     """
-    known = filters_of(denoisers) + [Method(n) for n in (ADAPTIVE, CYCLES, OIDN)]
+    known = filters_of(denoisers) + [Method(n) for n in (ADAPTIVE, CYCLES, OIDN, OIDN_HQ)]
     by_name = {m.name: m for m in known}
     if text is None:
-        return [m for m in known if m.denoiser or (m.name == OIDN and oidn)]
+        return [m for m in known if m.denoiser or (m.name in (OIDN, OIDN_HQ) and oidn)]
     chosen = []
     for name in text.split(","):
         names = [m.name for m in known if m.denoiser] if name == "all" else [name]
@@ -72,8 +72,9 @@ def choose(text: str | None, denoisers: list[dict], oidn: bool) -> list[Method]:
                 chosen.append(by_name[n])
     if by_name[RAW] not in chosen:
         chosen.insert(0, by_name[RAW])  # what all others are compared with
-    if by_name[OIDN] in chosen and not oidn:
-        raise BadInput("--methods oidn: needs --oidn PROGRAM and --oidn-weights FOLDER")
+    for name in (OIDN, OIDN_HQ):
+        if by_name[name] in chosen and not oidn:
+            raise BadInput(f"--methods {name}: needs --oidn PROGRAM and --oidn-weights FOLDER")
     return chosen
 
 
@@ -92,10 +93,3 @@ def search(method: Method, error_of) -> tuple[dict[str, float], int]:
         best = dict(min(seen, key=seen.get))
     return best, len(seen)
 
-
-def oidn_weights(folder: pathlib.Path) -> pathlib.Path:
-    """Errors: BadInput."""
-    path = folder / "rt_hdr_alb_nrm.tza"
-    if not path.is_file():
-        raise BadInput(f"--oidn-weights {folder}: has no {path.name}")
-    return path

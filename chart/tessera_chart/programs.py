@@ -1,6 +1,7 @@
 """Runs programs as children and says what they took. A child dies with the run that started it."""
 
 import dataclasses
+import functools
 import json
 import os
 import pathlib
@@ -8,8 +9,32 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import threading
 
 from tessera_chart.errors import BadInput
+
+
+_lock = threading.Lock()
+_running: set[subprocess.Popen] = set()
+_stopped = False
+
+
+class Stopped(Exception):
+    """The run was stopped while a child ran, or before it was started."""
+
+
+def stop() -> None:
+    """Ends the children of all threads, and lets none start any more until `resume`."""
+    global _stopped
+    with _lock:
+        _stopped = True
+        for child in _running:
+            child.send_signal(signal.SIGKILL)
+
+
+def resume() -> None:
+    global _stopped
+    _stopped = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,19 +43,33 @@ class Outcome:
 
     stdout: str
     cpu_s: float  # user and system, all its threads
+    peak_bytes: int  # of resident memory
 
 
-def run(command: list[str]) -> Outcome:
-    """Runs `command` to its end. Errors: BadInput with its last line on stderr."""
+def run(command: list[str], variables: dict[str, str] | None = None) -> Outcome:
+    """Runs `command` to its end, with `variables` added to the environment; from any thread.
+
+    Errors: BadInput with its last line on stderr; Stopped.
+    """
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         # A session of its own: Ctrl-C reaches this program alone, which then ends the child.
-        child = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True)
+        with _lock:
+            if _stopped:
+                raise Stopped
+            child = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True,
+                                     env=dict(os.environ, **variables) if variables else None)
+            _running.add(child)
         try:
             _, status, usage = os.wait4(child.pid, 0)
         except BaseException:
             child.send_signal(signal.SIGKILL)
             child.wait()
             raise
+        finally:
+            with _lock:
+                _running.discard(child)
+        if _stopped:
+            raise Stopped
         child.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         err.seek(0)
@@ -39,7 +78,7 @@ def run(command: list[str]) -> Outcome:
     if child.returncode != 0:
         said = lines[-1] if lines else f"exit code {child.returncode}"
         raise BadInput(f"{pathlib.Path(command[0]).name} {command[1] if command[1:] else ''}: {said}")
-    return Outcome(text, usage.ru_utime + usage.ru_stime)
+    return Outcome(text, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
 
 
 class Tessera:
@@ -59,6 +98,11 @@ class Tessera:
         outcome = run([self.path, *map(str, arguments), "--json"])
         return json.loads(outcome.stdout), outcome.cpu_s
 
+    def peak_bytes(self, *arguments) -> int:
+        """Runs it; returns the most resident memory that it had."""
+        return run([self.path, *map(str, arguments)]).peak_bytes
+
+    @functools.lru_cache(maxsize=None)
     def version(self) -> str:
         return run([self.path, "--version"]).stdout.strip()
 

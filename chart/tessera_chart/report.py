@@ -100,7 +100,8 @@ for (const [scene, data] of Object.entries(DATA)) {
     at('.over').style.clipPath = `inset(0 ${100 - x}% 0 0)`;
     at('.line').style.left = x + '%';
     at('.figures').textContent = `left: ${at('.left').value}, ${left.text}; ` +
-      `right: ${at('.right').value}, ${right.text}`;
+      `right: ${at('.right').value}, ${right.text}` +
+      (which === 'difference' ? '; shown is |x - r| / (r + 0.1), black 0 to yellow 0.5 and more' : '');
   };
   at('.spp').onchange = () => {
     const chosen = [at('.left').value, at('.right').value];

@@ -8,6 +8,7 @@ import pathlib
 from tessera_chart import curves, methods
 
 COLUMNS = ("scene", "method", "spp", "own_spp", "seed", "rel_mse", "rel_mse_trimmed", "flip",
+           "blotches", "bias",
            "render_s", "filter_s", "total_s", "render_cpu_s", "filter_cpu_s", "total_cpu_s", "bytes")
 BUDGETS_S = (1, 10, 60)
 

@@ -14,6 +14,13 @@ VIEW_FLAGS = {"--camera": 1, "--look-from": 1, "--look-at": 1, "--up": 1, "--fov
               "--max-depth": 1, "--region": 1, "--transparent": 0, "--isa": 1, "--tile-size": 1}
 
 
+def _without(flags: tuple[str, ...], name: str) -> tuple[str, ...]:
+    if name not in flags:
+        return flags
+    at = flags.index(name)
+    return flags[:at] + flags[at + 2:]
+
+
 @dataclasses.dataclass(frozen=True)
 class View:
     """A scene file, and how it is looked at."""
@@ -26,8 +33,13 @@ class View:
         """The value of a flag; None without."""
         return self.flags[self.flags.index(name) + 1] if name in self.flags else None
 
+    def picture_digest(self, size: str, version: str) -> str:
+        """Of all that decides the bits of a picture."""
+        return dataclasses.replace(self, flags=_without(self.flags, "--tile-size")).digest(
+            size, version)
+
     def digest(self, size: str, version: str) -> str:
-        """Of all that decides the pictures: results of other settings are never taken for these."""
+        """Of all settings: results of others are never taken for these."""
         content = hashlib.sha256(self.file.read_bytes())
         env = self.flag("--env")
         if env and pathlib.Path(env).is_file():
