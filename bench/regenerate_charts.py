@@ -1,62 +1,98 @@
 #!/usr/bin/python3
 """Makes the committed charts of docs/charts again, and the tables of the pages that show them.
 
-    bench/regenerate_charts.py --build build/release [--scenes FOLDER] [--only statistics,...]
-        [--out docs/charts] [--quick]
+    bench/regenerate_charts.py --build build/release [--scenes FOLDER]
+        [--oidn PROGRAM --oidn-weights FOLDER] [--only statistics,...] [--out FOLDER] [--quick]
 
-Parts: statistics (docs/stability.md), filters (docs/stability.md), scenes (docs/charts.md and the
-README's chart), scale (docs/charts.md). Under half an hour on two idle cores. What a part has
-finished is kept in BUILD/charts and taken up by the next run. --scenes is the folder of scenes that
-are not the project's own (apartment.glb, ...); without it they are left out. --quick makes
-everything tiny, to try the command itself: never commit its output. Needs python3-matplotlib,
-python3-numpy, python3-openimageio, python3-tqdm; blender for Cycles where it is there.
+Parts: scale (docs/charts.md), statistics and filters (docs/stability.md), scenes (docs/charts.md
+and the README's chart). Under half an hour on two idle cores. What is finished is kept in
+BUILD/charts: after Ctrl-C, or anything else that ends it, the same command goes on from there.
+docs/ is written to when everything is made, and not before. --scenes is the folder of scenes that
+are not the project's own (apartment.glb, ...); without it they are left out. Cycles is measured
+where blender is installed. --quick makes everything tiny, to try the command itself: never commit
+its output. Needs python3-matplotlib, python3-numpy, python3-openimageio, python3-tqdm.
 """
 
 import argparse
 import pathlib
+import resource
 import shutil
 import sys
+import time
 
 sys.dont_write_bytecode = True  # the source folder stays clean
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "chart"), str(ROOT / "scenes")]
 
 from charts import filters, scale, scenes, statistics
-from tessera_chart import programs
+from charts.runs import Run
+from tessera_chart import command
+from tessera_chart.errors import BadInput
 
-PARTS = ("statistics", "scale", "filters", "scenes")
+# Scale has a clock to watch, so nothing runs beside it.
+PARTS = {"scale": scale.make, "statistics": statistics.make, "filters": filters.make,
+         "scenes": scenes.make}
 
 
-def main() -> int:
+def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--build", type=pathlib.Path, required=True)
     parser.add_argument("--out", type=pathlib.Path, default=ROOT / "docs" / "charts")
     parser.add_argument("--scenes", type=pathlib.Path)
-    parser.add_argument("--cycles", action="store_true", help="Blender's Cycles too, on two scenes")
     parser.add_argument("--oidn", help="as of tessera chart")
     parser.add_argument("--oidn-weights", type=pathlib.Path)
     parser.add_argument("--only", default=",".join(PARTS))
     parser.add_argument("--quick", action="store_true")
     args = parser.parse_args()
-    chosen = args.only.split(",")
-    if set(chosen) - set(PARTS):
-        parser.error(f"--only {args.only}: use some of {','.join(PARTS)}")
-    args.out.mkdir(parents=True, exist_ok=True)
-    into_docs = args.out.resolve() == ROOT / "docs" / "charts"
-    stability_page = ROOT / "docs" / "stability.md" if into_docs else None
-    if "statistics" in chosen:
-        statistics.make(args.build / "bin" / "statistics_stability", args.out, stability_page,
-                        args.quick)
-    tessera = programs.Tessera(str(args.build / "bin" / "tessera"))
+    args.only = args.only.split(",")
+    if set(args.only) - set(PARTS):
+        parser.error(f"--only {','.join(args.only)}: use some of {','.join(PARTS)}")
+    if bool(args.oidn) != bool(args.oidn_weights):
+        parser.error("--oidn and --oidn-weights go together")
+    if args.scenes and not args.scenes.is_dir():
+        parser.error(f"--scenes {args.scenes}: no such folder")
+    return args
+
+
+def used_cpu_s() -> float:
+    """Of this program and all of its children that have ended."""
+    usages = [resource.getrusage(w) for w in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(u.ru_utime + u.ru_stime for u in usages)
+
+
+def make(args) -> None:
+    """Errors: BadInput, RuntimeError, KeyboardInterrupt."""
     work = args.build / ("charts-quick" if args.quick else "charts")
     if args.quick:
         shutil.rmtree(work, ignore_errors=True)  # nothing is taken up: all of it is tried
-    if "filters" in chosen:
-        filters.make(tessera, work, args.out, stability_page, args.quick)
-    if "scale" in chosen:
-        scale.make(tessera, args.build / "bin", work, args.out, args.quick)
-    if "scenes" in chosen:
-        scenes.make(args, work, ROOT / "docs" / "charts.md" if into_docs else None)
+    into_docs = args.out.resolve() == ROOT / "docs" / "charts"
+    run = Run(args.build, work, args.out, ROOT / "docs" if into_docs else None, args.scenes,
+              args.quick, args.oidn, args.oidn_weights)
+    start = time.monotonic()
+    for name, part in PARTS.items():
+        if name in args.only:
+            begin, before_s = time.monotonic(), used_cpu_s()
+            part(run)
+            print(f"{name}: {time.monotonic() - begin:.0f} s, CPU {used_cpu_s() - before_s:.0f} s",
+                  flush=True)
+    wall_s, cpu_s = time.monotonic() - start, used_cpu_s()
+    print(f"together: {wall_s:.0f} s, CPU {cpu_s:.0f} s: at least {cpu_s / 2:.0f} s on two cores")
+    for page in ("charts.md", "stability.md"):
+        run.add_part(page, "made", f"Made with {run.version}; this run took {wall_s / 60:.0f} minutes "
+                     f"and {cpu_s / 60:.0f} CPU minutes (parts: {', '.join(args.only)}).")
+    run.publish()
+
+
+def main() -> int:
+    args = parse_arguments()
+    try:
+        make(args)
+    except KeyboardInterrupt:
+        print("regenerate_charts: stopped; the same command goes on from here", file=sys.stderr)
+        return command.EXIT_CANCELLED
+    except (BadInput, RuntimeError) as error:
+        print(f"regenerate_charts: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

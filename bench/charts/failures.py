@@ -58,6 +58,34 @@ def firefly(strength: float) -> GlbWriter:
     return scene
 
 
+def rare_light(hole: float) -> GlbWriter:
+    """The lamp in a black box with a square hole: most rays to the lamp end at the box, so most
+    samples are black, the more the smaller the hole; power stays."""
+    lamp = 0.6
+    scene = _furnish(_room("rare light", lamp_side=lamp, lamp_power=12.0 * (lamp / hole) ** 2))
+    black = scene.material("box", (0, 0, 0), roughness=1.0)
+    out, inner, low, high, z = lamp / 2 + 0.02, hole / 2, 2.28, 2.395, 1.6
+    rim, side = out - inner, high - low
+    panels = [shapes.quad((-out, low, z - out), (2 * out, 0, 0), (0, 0, rim)),
+              shapes.quad((-out, low, z + inner), (2 * out, 0, 0), (0, 0, rim)),
+              shapes.quad((-out, low, z - inner), (rim, 0, 0), (0, 0, hole)),
+              shapes.quad((inner, low, z - inner), (rim, 0, 0), (0, 0, hole))]
+    for at in (-out, out):
+        panels += [shapes.quad((at, low, z - out), (0, 0, 2 * out), (0, side, 0)),
+                   shapes.quad((-out, low, z + at), (2 * out, 0, 0), (0, side, 0))]
+    scene.add("shade", shapes.merge(panels), black)
+    return scene
+
+
+def caustic(side: float) -> GlbWriter:
+    """Light that a polished ring gathers on the floor: the smaller the lamp, the sharper."""
+    scene = _room("caustic", lamp_side=side)
+    brass = scene.material("brass", (0.9, 0.75, 0.4), metallic=1.0, roughness=0.1)
+    ring = shapes.lathe([(0.97, 0.0), (1.0, 0.0), (1.0, 0.35), (0.97, 0.35), (0.97, 0.0)])
+    scene.add("ring", ring, brass, at=(0, 0.0, 0.3))
+    return scene
+
+
 def light_size(side: float) -> GlbWriter:
     """From a wide penumbra to a hard shadow."""
     return _furnish(_room("light size", lamp_side=side))

@@ -1,6 +1,5 @@
-"""Where filters fail: sweeps over the severity of what is hard for them, charted against raw."""
+"""Where filters fail: charts of the sweeps, of what they do to the mean, and of their spectra."""
 
-import concurrent.futures
 import csv
 import pathlib
 
@@ -8,82 +7,10 @@ import numpy
 from matplotlib import pyplot
 from matplotlib.colors import LogNorm
 
-from charts import failures, pages
-from tessera_chart import drawing, ladder, methods, views
+from charts import adaptive, pages, sweeps
+from tessera_chart import drawing, measures, methods
 
-SPP = 16
-REFERENCE_SPP = 256
-SEEDS = [1, 2, 3]
-SIZE = "96x54"
-
-# name -> (what the severity is, its values, the scene of a value, the flags of a value)
-SWEEPS = {
-    "firefly": ("lamp radiance", (100, 1000, 10000, 100000), failures.firefly, None),
-    "light size": ("side of the lamp, m", (1.5, 0.5, 0.15, 0.05), failures.light_size, None),
-    "thin wires": ("width, pixels", (2, 1, 0.5, 0.25), failures.wire_width, None),
-    "depth of field": ("lens radius, m", (0.01, 0.03, 0.1, 0.3), lambda _: failures.aperture(),
-                       lambda r: ("--lens-radius", f"{r:g}", "--focus-distance", "4")),
-    "reflection": ("roughness", (0.02, 0.1, 0.3, 0.6), failures.roughness, None),
-    "texture": ("checkers on 4 m", (8, 32, 64, 128), failures.texture, None),
-    "sample count": ("samples per pixel", (1, 4, 16, 64), None, None),
-    "tile size": ("pixels", (8, 16, 32, 64), lambda _: failures.plain(),
-                  lambda n: ("--tile-size", f"{n:g}")),
-}
-QUICK_SWEEPS = ("thin wires", "sample count")
-
-
-class Sweep:
-    """One failure: a ladder for each severity, or one with all sample counts."""
-
-    def __init__(self, name: str, tessera, chosen: list, folder: pathlib.Path, quick: bool):
-        self.name = name
-        self.text, values, scene, flags = SWEEPS[name]
-        self.values = values[:2] if quick else values
-        spp = [int(v) for v in self.values] if scene is None else [2 if quick else SPP]
-        plan = ladder.Plan(tessera, chosen, spp, SEEDS[:1] if quick else SEEDS,
-                           "32x18" if quick else SIZE, 8 if quick else REFERENCE_SPP, [], 1)
-        self.ladders = []
-        for value in self.values if scene else self.values[:1]:
-            stem = name.replace(" ", "_") + (f"_{value:g}" if scene else "")
-            made = scene(value) if scene else failures.plain()
-            file = failures.write(made, folder / "scenes" / f"{stem}.glb")
-            view = views.View(stem, file, tuple(flags(value)) if flags else ())
-            self.ladders.append(ladder.Ladder(plan, view, folder / "work"))
-
-    def rows(self) -> list[dict]:
-        """By method and severity: errors of the seeds over raw's."""
-        found = []
-        for at, value in enumerate(self.values):
-            each = self.ladders[min(at, len(self.ladders) - 1)]
-            spp = each.plan.spp[at if len(each.plan.spp) > 1 else 0]
-            points = {(p["method"], p["seed"]): p for p in each.points() if p["spp"] == spp}
-            raw = [points[methods.RAW, s]["rel_mse"] for s in each.plan.seeds]
-            for method in each.plan.methods:
-                errors = [points[method.name, s]["rel_mse"] for s in each.plan.seeds]
-                ratios = [e / r for e, r in zip(errors, raw)]
-                found.append({
-                    "failure": self.name, "severity": value, "method": method.name,
-                    "rel_mse": sum(errors) / len(errors), "raw": sum(raw) / len(raw),
-                    "ratio": sum(errors) / sum(raw), "least": min(ratios), "greatest": max(ratios)})
-        return found
-
-
-def measure(tessera, folder: pathlib.Path, quick: bool) -> list[dict]:
-    chosen = [m for m in methods.filters_of(tessera.denoisers())
-              if m.quality == "final" and not m.searched]
-    if quick:
-        chosen = chosen[:3]
-    sweeps = [Sweep(name, tessera, chosen, folder, quick) for name in (QUICK_SWEEPS if quick else SWEEPS)]
-
-    def work(each: ladder.Ladder) -> None:
-        for task in each.tasks():
-            task.run()
-
-    # Nothing is timed here, so two views at once.
-    with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        for done in [pool.submit(work, each) for s in sweeps for each in s.ladders]:
-            done.result()
-    return [row for sweep in sweeps for row in sweep.rows()]
+SPECTRUM_BANDS = 9  # of an octave's half or so each
 
 
 def write_csv(rows: list[dict], path: pathlib.Path) -> None:
@@ -103,7 +30,7 @@ def _failures(rows: list[dict]) -> list[str]:
 
 
 def draw_sweeps(rows: list[dict], path: pathlib.Path) -> None:
-    figure, grid = pyplot.subplots(2, 4, figsize=(13, 6), sharey=True)
+    figure, grid = pyplot.subplots(3, 4, figsize=(13, 8.6), sharey=True)
     for axes, name in zip(grid.ravel(), _failures(rows)):
         for index, method in enumerate(_methods(rows)):
             found = [r for r in rows if r["failure"] == name and r["method"] == method
@@ -121,9 +48,9 @@ def draw_sweeps(rows: list[dict], path: pathlib.Path) -> None:
         axes.set_xticks(values, [f"{v:g}" for v in values])
         axes.minorticks_off()
         axes.set_title(name, fontsize=10)
-        axes.set_xlabel(SWEEPS[name][0])
+        axes.set_xlabel(sweeps.FAILURES[name].text)
     for line in grid:
-        line[0].set_ylabel("relMSE / raw's")
+        line[0].set_ylabel("error / raw's")
     figure.tight_layout()
     drawing.shared_legend(figure, grid.ravel(), loc="center left", bbox_to_anchor=(1.0, 0.5))
     drawing.save(figure, path, png=False)
@@ -139,7 +66,7 @@ def draw_heat_map(rows: list[dict], path: pathlib.Path) -> None:
     chosen, names = _methods(rows), _failures(rows)
     cells = [[worst(rows, m, n) for n in names] for m in chosen]
     ratio = numpy.array([[max(c["ratio"], 1e-2) for c in line] for line in cells])
-    figure, axes = pyplot.subplots(figsize=(9.5, 0.45 * len(chosen) + 1))
+    figure, axes = pyplot.subplots(figsize=(13.5, 0.45 * len(chosen) + 1))
     axes.imshow(numpy.clip(ratio, 0.05, 20), norm=LogNorm(0.05, 20), cmap="RdYlGn_r", alpha=0.75,
                 aspect="auto")
     for y, line in enumerate(cells):
@@ -151,8 +78,8 @@ def draw_heat_map(rows: list[dict], path: pathlib.Path) -> None:
     axes.set_xticks(range(len(names)), names)
     axes.tick_params(length=0)
     axes.grid(False)
-    axes.set_title("worst relMSE over raw's, and at which severity; above 1 it harms: "
-                   "! with every seed, ? not with every seed", fontsize=9)
+    axes.set_title("worst relMSE over raw's (blotches: of low frequencies), and at which severity; "
+                   "above 1 it harms: ! with every seed, ? not with every seed", fontsize=9)
     drawing.save(figure, path, png=False)
 
 
@@ -168,11 +95,117 @@ def table(rows: list[dict]) -> str:
     return pages.table(["method", *_failures(rows)], lines)
 
 
-def make(tessera, folder: pathlib.Path, out: pathlib.Path, page: pathlib.Path | None,
-         quick: bool) -> None:
-    rows = measure(tessera, folder / "filters", quick)
-    write_csv(rows, out / "filters.csv")
-    draw_sweeps(rows, out / "filters-sweeps")
-    draw_heat_map(rows, out / "filters-worst")
-    if page:
-        pages.replace_part(page, "filters", table(rows))
+def _draw_bias(axes, rows: list[dict], failure: str) -> None:
+    """What filters add to the frame's mean, with 1.96 standard errors over seeds."""
+    for index, method in enumerate(_methods(rows)):
+        found = [r for r in rows if r["failure"] == failure and r["method"] == method]
+        error = [1.96 * r["bias_error"] if numpy.isfinite(r["bias_error"]) else 0 for r in found]
+        # Beside each other, so that bars can be told apart.
+        shift = 1.04 ** (index - len(_methods(rows)) / 2)
+        axes.errorbar([r["severity"] * shift for r in found], [r["bias"] * 100 for r in found],
+                      yerr=[e * 100 for e in error], label=method, elinewidth=0.8, capsize=1.5,
+                      **drawing.style(method, index))
+    _severity_axis(axes, failure)
+    axes.set_ylabel("added to the mean, %")
+
+
+def _severity_axis(axes, failure: str) -> None:
+    axes.axhline(0, color="black", linewidth=0.8)
+    drawing.log_axes(axes, y=False)
+    values = sweeps.FAILURES[failure].values
+    axes.set_xticks(values, [f"{v:g}" for v in values])
+    axes.minorticks_off()
+    axes.set_title(failure, fontsize=10)
+    axes.set_xlabel(sweeps.FAILURES[failure].text)
+
+
+def _draw_adaptive(axes, rows: list[dict]) -> None:
+    for index, (kind, marker) in enumerate((("uniform", "o"), ("adaptive", "X"))):
+        found = [r for r in rows if r["kind"] == kind]
+        axes.errorbar([r["severity"] * (0.97, 1.03)[index] for r in found],
+                      [r["bias"] * 100 for r in found],
+                      yerr=[1.96 * r["bias_error"] * 100 for r in found], marker=marker, linewidth=1,
+                      markersize=5, capsize=2, color=("#777777", "#4B0092")[index],
+                      label=f"{kind}, raw mean")
+    _severity_axis(axes, "rare light")
+    axes.set_title("adaptive counts: --target-error against uniform", fontsize=10)
+    axes.set_xlabel("side of the hole, m")
+    axes.set_ylabel("mean's distance from the truth, %")
+    axes.legend(fontsize=7)
+
+
+def spectrum(sweep, at: int) -> dict[str, list[tuple[float, float]]]:
+    """By method: (frequency, power an octave) of the first seed's relative error, in bands."""
+    each, spp = sweep.ladder_of(at)
+    found = {}
+    for method in each.plan.methods:
+        picture = measures.read_rgb(each.picture(method.name, each.plan.seeds[0], spp))
+        frequency, power = each.reference().power(picture)
+        edges = numpy.geomspace(1 / 64, 0.5, SPECTRUM_BANDS + 1)
+        points = []
+        for low, high in zip(edges, edges[1:]):
+            inside = (frequency > low) & (frequency <= high)
+            if inside.any():
+                points.append((float(numpy.sqrt(low * high)),
+                               float(power[inside].sum() / numpy.log2(high / low))))
+        found[method.name] = points
+    return found
+
+
+def _draw_spectrum(axes, sweep, at: int) -> None:
+    for index, (method, points) in enumerate(spectrum(sweep, at).items()):
+        shown = [p for p in points if p[1] > 0]
+        if shown:
+            axes.plot(*zip(*shown), label=method, **drawing.style(method, index))
+    drawing.log_axes(axes)
+    axes.axvline(1 / measures.BLOTCH_PX, color="black", linewidth=0.8, linestyle="--")
+    axes.set_title(f"spectrum of the error, {sweep.values[at]} samples, plain room", fontsize=10)
+    axes.set_xlabel("cycles a pixel; blotches: left of the line")
+    axes.set_ylabel("relMSE an octave")
+
+
+def draw_bias(rows: list[dict], counts: list[dict], blotches, path: pathlib.Path) -> None:
+    figure, grid = pyplot.subplots(2, 2, figsize=(10.5, 7))
+    for axes, failure in zip(grid[0], ("rare light", "mean-correlated")):
+        _draw_bias(axes, rows, failure)
+    _draw_adaptive(grid[1][0], counts)
+    _draw_spectrum(grid[1][1], blotches, min(1, len(blotches.values) - 1))
+    figure.tight_layout()
+    drawing.shared_legend(figure, [*grid[0], grid[1][1]], loc="center left",
+                          bbox_to_anchor=(1.0, 0.5))
+    drawing.save(figure, path, png=False)
+
+
+def bias_table(rows: list[dict], counts: list[dict]) -> str:
+    """Per cent, +- 1.96 standard errors; bold where that does not reach 0."""
+    lines = []
+
+    def cell(row: dict) -> str:
+        mean, error = row["bias"] * 100, 1.96 * row["bias_error"] * 100
+        text = f"{mean:+.2f} +- {error:.2f}"
+        return f"**{text}**" if abs(mean) > error else text
+
+    for failure in ("rare light", "mean-correlated"):
+        for method in _methods(rows):
+            found = [r for r in rows if r["failure"] == failure and r["method"] == method]
+            if found:
+                lines.append([failure, method, *map(cell, found)])
+    for kind in ("uniform", "adaptive"):
+        found = [r for r in counts if r["kind"] == kind]
+        lines.append(["rare light", f"{kind} counts, raw", *map(cell, found)])
+    columns = max(len(line) for line in lines) - 2
+    return pages.table(["sweep", "method", *(f"severity {i + 1}" for i in range(columns))], lines)
+
+
+def make(run) -> None:
+    measured = sweeps.measure(run)
+    rows = [row for sweep in measured for row in sweep.rows()]
+    write_csv(rows, run.made / "filters.csv")
+    draw_sweeps(rows, run.made / "filters-sweeps")
+    draw_heat_map(rows, run.made / "filters-worst")
+    run.add_part("stability.md", "filters", table(rows))
+    by_name = {sweep.name: sweep for sweep in measured}
+    counts = adaptive.measure(run, by_name["rare light"])
+    write_csv(counts, run.made / "adaptive.csv")
+    draw_bias(rows, counts, by_name["blotches"], run.made / "filters-bias")
+    run.add_part("stability.md", "bias", bias_table(rows, counts))

@@ -10,7 +10,7 @@ import time
 
 from matplotlib import pyplot
 
-from charts import failures
+from charts import failures, memory
 from tessera_chart import drawing, measures, programs
 from tessera_chart.store import Store
 
@@ -73,7 +73,8 @@ def measure_workers(tessera, bin_folder, scene, store: Store, quick: bool) -> li
         row = store.get(key)
         if row is None:
             times = {}
-            for spp in (few, many):
+            # The quick run has the long job alone: its times say nothing anyway.
+            for spp in (many,) if quick else (few, many):
                 used: dict = {}
                 with _farm(bin_folder, count, store.path("farm.log"), used) as address:
                     _wait_for_workers(tessera, address, count)
@@ -82,7 +83,7 @@ def measure_workers(tessera, bin_folder, scene, store: Store, quick: bool) -> li
                         size, "--spp", spp, "--denoiser", "none", "--server", address, "--quiet")
                 times[spp] = (used["cpu_s"], figures)
             row = {"x": count, "seconds": times[many][1]["seconds"]["render"],
-                   "cpu_s": times[many][0] - times[few][0],
+                   "cpu_s": times[many][0] - (0.0 if quick else times[few][0]),
                    "bytes": times[many][1]["bytes"]["deltas"], "digest": times[many][1]["digest"]}
             store.put(key, row)
         rows.append({**row, "quantity": "workers"})
@@ -162,63 +163,100 @@ def simulate_workers(bench: pathlib.Path, store: Store, quick: bool) -> list[dic
              "ideal_seconds": row["ideal_seconds"]} for row in found["rows"]]
 
 
+def _draw_workers(axes, rows: list[dict]) -> None:
+    one = rows[0]
+    for index, (values, label) in enumerate((
+            ([one["cpu_s"] / r["cpu_s"] for r in rows], "CPU of one worker / CPU"),
+            ([one["seconds"] / r["seconds"] for r in rows], "time of one worker / time"),
+            ([r["bytes"] / one["bytes"] for r in rows], "bytes / bytes of one worker"))):
+        axes.plot([r["x"] for r in rows], values, marker="o", markersize=4, color=COLORS[index],
+                  label=label)
+    axes.axhline(os.cpu_count(), color="black", linewidth=0.8, linestyle="--",
+                 label=f"{os.cpu_count()} cores")
+    axes.set_xticks([r["x"] for r in rows])
+    axes.set_ylim(0, os.cpu_count() + 0.5)
+    axes.set_title("workers, real", fontsize=10)
+    axes.set_xlabel("workers of one thread on one machine")
+
+
+def _draw_simulated(time_axes, efficiency_axes, rows: list[dict]) -> None:
+    workers = [r["x"] for r in rows]
+    time_axes.plot(workers, [r["seconds"] for r in rows], marker="o", markersize=4, color=COLORS[3],
+                   label="seconds of one job")
+    time_axes.plot(workers, [r["ideal_seconds"] for r in rows], color="black", linewidth=0.8,
+                   linestyle="--", label="work / workers")
+    efficiency_axes.plot(workers, [r["ideal_seconds"] / r["seconds"] for r in rows], marker="o",
+                         markersize=4, color=COLORS[3], label="efficiency")
+    efficiency_axes.set_ylim(0, 1.05)
+    drawing.log_axes(time_axes)
+    drawing.log_axes(efficiency_axes, y=False)
+    for axes in (time_axes, efficiency_axes):
+        axes.set_title("workers, SIMULATED", fontsize=10)
+        axes.set_xlabel("workers of one thread")
+
+
+def _draw_memory(axes, rows: list[dict]) -> None:
+    for index, name in enumerate(dict.fromkeys(r["method"] for r in rows)):
+        found = [r for r in rows if r["method"] == name]
+        axes.plot([r["x"] for r in found], [r["peak_bytes"] / 1e6 for r in found], label=name,
+                  **drawing.style("raw" if name == "none" else name, index))
+    drawing.log_axes(axes)
+    axes.set_title("peak memory of filtering a film", fontsize=10)
+    axes.set_xlabel("pixels")
+    axes.set_ylabel("MB")
+
+
 def draw(rows: list[dict], path: pathlib.Path) -> None:
-    figure, grid = pyplot.subplots(1, 5, figsize=(17, 3.3))
+    """One panel a quantity."""
+    figure, grid = pyplot.subplots(2, 4, figsize=(15, 7))
+    grid = grid.ravel()
 
     def of(quantity):
         return [r for r in rows if r["quantity"] == quantity]
 
-    def line(axes, quantity, column, label, index, scale=1.0):
+    def line(axes, quantity, column, label, index):
         found = of(quantity)
-        axes.plot([r["x"] for r in found], [r[column] * scale for r in found], marker="o",
-                  markersize=4, label=label, color=COLORS[index])
+        axes.plot([r["x"] for r in found], [r[column] for r in found], marker="o", markersize=4,
+                  label=label, color=COLORS[index])
 
-    workers = of("workers")
-    axes = grid[0]
-    axes.plot([r["x"] for r in workers], [workers[0]["cpu_s"] / r["cpu_s"] for r in workers],
-              marker="o", markersize=4, color=COLORS[0], label="CPU of one worker / CPU")
-    axes.plot([r["x"] for r in workers], [r["bytes"] / workers[0]["bytes"] for r in workers],
-              marker="o", markersize=4, color=COLORS[2], label="bytes / bytes of one worker")
-    axes.set_xticks([r["x"] for r in workers])
-    axes.set_ylim(0, 1.5)
-    axes.set_xlabel("workers of one thread, real")
-    simulated = of("simulated workers")
-    grid[1].plot([r["x"] for r in simulated], [r["ideal_seconds"] / r["seconds"] for r in simulated],
-                 marker="o", markersize=4, color=COLORS[3], label="efficiency, SIMULATED")
-    grid[1].set_ylim(0, 1.05)
-    grid[1].set_xlabel("workers of one thread, simulated")
-    drawing.log_axes(grid[1], y=False)
-    for axes, quantity in zip(grid[2:], ("pixels", "triangles", "lights")):
+    _draw_workers(grid[0], of("workers"))
+    if of("simulated workers"):
+        _draw_simulated(grid[1], grid[2], of("simulated workers"))
+    for axes, quantity in zip(grid[3:6], ("pixels", "triangles", "lights")):
         line(axes, quantity, "us_per_sample", "CPU us a sample", 0)
+        axes.set_title(quantity, fontsize=10)
         axes.set_xlabel(quantity)
-    line(grid[2], "pixels", "bytes_per_pixel", "bytes a pixel, 4 samples", 1)
-    line(grid[3], "triangles", "load_s", "load, s", 1)
-    line(grid[4], "lights", "rel_mse_trimmed", "relMSE of 16 samples, trimmed", 1)
-    for axes in grid[2:]:
+    line(grid[3], "pixels", "bytes_per_pixel", "bytes a pixel, few samples", 1)
+    line(grid[4], "triangles", "load_s", "load, s", 1)
+    line(grid[5], "lights", "rel_mse_trimmed", "relMSE of 16 samples, trimmed", 1)
+    for axes in grid[3:6]:
         drawing.log_axes(axes)
-    for axes in grid:
+    _draw_memory(grid[6], of("memory"))
+    grid[7].set_visible(False)
+    for axes in grid[:7]:
         axes.legend(fontsize=7)
     figure.tight_layout()
     drawing.save(figure, path, png=False)
 
 
-def make(tessera: programs.Tessera, bin_folder: pathlib.Path, folder: pathlib.Path,
-         out: pathlib.Path, quick: bool) -> None:
+def make(run) -> None:
     """Errors: RuntimeError if farms of different sizes gave different pictures."""
-    folder = folder / "scale"
-    store = Store(folder / f"work-{re.sub('[^0-9a-f]', '', tessera.version()[-8:])}")
-    rows = measure_growth(tessera, folder / "scenes", store, quick)
+    folder, quick = run.work / "scale", run.quick
+    store = Store(folder / f"work-{run.version.split()[-1]}")
+    rows = measure_growth(run.tessera, folder / "scenes", store, quick)
     plain = failures.write(failures.plain(), folder / "scenes" / "plain.glb")
-    rows += measure_workers(tessera, bin_folder, plain, store, quick)
-    if (bin_folder / "simulated_scale").is_file():
-        rows += simulate_workers(bin_folder / "simulated_scale", store, quick)
+    rows += measure_workers(run.tessera, run.build / "bin", plain, store, quick)
+    if run.bin("simulated_scale").is_file():
+        rows += simulate_workers(run.bin("simulated_scale"), store, quick)
+    rows += memory.measure(run.tessera, plain, store, quick)
     if len({r["digest"] for r in rows if "digest" in r}) != 1:
         raise RuntimeError("farms of different sizes gave different pictures")
-    columns = ["quantity", "x", "seconds", "ideal_seconds", "cpu_s", "us_per_sample", "load_s", "rays_per_sample",
-               "bytes", "bytes_per_pixel", "rel_mse_trimmed"]
-    with (out / "scale.csv").open("w", newline="", encoding="utf-8") as file:
+    columns = ["quantity", "x", "seconds", "ideal_seconds", "efficiency", "cpu_s", "us_per_sample",
+               "load_s", "rays_per_sample", "bytes", "bytes_per_pixel", "rel_mse_trimmed", "method",
+               "peak_bytes"]
+    with (run.made / "scale.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
         for row in rows:
             writer.writerow({k: f"{v:.4g}" if isinstance(v, float) else v for k, v in row.items()})
-    draw(rows, out / "scale")
+    draw(rows, run.made / "scale")

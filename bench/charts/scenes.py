@@ -1,18 +1,28 @@
 """The main charts: `tessera chart` on the project's scenes, and on others where they are."""
 
-import pathlib
+import shutil
 
 from charts import pages
-from tessera_chart import command, drawing, methods, programs, report, results
+from tessera_chart import command, drawing, methods, report, results
 
 # Name -> flags of the view; the project's own.
-OWN = {"cornell": "", "window_room": "--sky 3,3,3", "still_life": "", "veach_mis": "",
+OWN = {"window_room": "--sky 3,3,3", "veach_mis": "", "still_life": "", "cornell": "",
        "wires": "--sky 1,1,1"}
 # Of the folder of --scenes: name -> file and flags.
 OTHERS = {"kitchen": ("apartment.glb", "--sky 2,2,2 --look-from 7,1.7,-6.8 --look-at 10.8,0.9,-4.2 "
                                        "--fov-y 65")}
-FLAGS = ("--size", "128x72", "--spp", "4,16,64", "--seeds", "2", "--reference", "512")
-QUICK_FLAGS = ("--size", "32x18", "--spp", "1,2", "--seeds", "1", "--reference", "8")
+# The frame that times are said for: small enough that 1 s is more than a sample or two, large enough
+# that 60 s are not beyond the ladder.
+FRAME = "320x180"
+SIZE = "128x72"
+FLAGS = ("--size", SIZE, "--frame", FRAME, "--spp", "2,8,32,128,512", "--seeds", "2", "--reference",
+         "1024", "--jobs", "2")
+# One scene at the frame's own size, alone on all cores: are times in proportion to pixels, and what
+# are they on a clock?
+WHOLE = "still_life"
+WHOLE_FLAGS = ("--size", FRAME, "--spp", "2,8,32,128", "--seeds", "1", "--reference", "256")
+QUICK_FLAGS = ("--size", "32x18", "--frame", "64x36", "--spp", "1,2", "--seeds", "1", "--reference",
+               "8")
 
 
 def _run(arguments: list) -> None:
@@ -24,20 +34,20 @@ def _run(arguments: list) -> None:
         raise RuntimeError("tessera chart failed")
 
 
-def _chart(args, scenes: list[str], method_names: list[str], folder: pathlib.Path) -> list[dict]:
-    oidn = ["--oidn", args.oidn, "--oidn-weights", args.oidn_weights] if args.oidn else []
-    if oidn:
-        method_names = method_names + [methods.OIDN]
-    _run([*scenes, "-o", folder, "--tessera", args.build / "bin" / "tessera", "--methods",
-          ",".join(method_names), *oidn, *(QUICK_FLAGS if args.quick else FLAGS)])
+def _chart(run, scenes: list[str], method_names: list[str], name: str, flags: tuple) -> list[dict]:
+    oidn = ["--oidn", run.oidn, "--oidn-weights", run.oidn_weights] if run.oidn else []
+    folder = run.work / name
+    _run([*scenes, "-o", folder, "--tessera", run.bin("tessera"), "--methods",
+          ",".join(method_names), *oidn, *flags])
     return results.read_points(folder / "points.json")
 
 
-def _methods(args) -> list[str]:
-    """All filters, of the previews ours alone, and adaptive sampling."""
-    tessera = programs.Tessera(str(args.build / "bin" / "tessera"))
-    return [m.name for m in methods.filters_of(tessera.denoisers())
-            if m.quality == "final" or m.denoiser == "regression"] + [methods.ADAPTIVE]
+def _methods(run) -> list[str]:
+    """All filters, of the previews ours alone; adaptive sampling; the peers that are here."""
+    chosen = [m.name for m in methods.filters_of(run.tessera.denoisers())
+              if m.quality == "final" or m.denoiser == "regression"] + [methods.ADAPTIVE]
+    chosen += [m.name for m in run.networks()]
+    return chosen + ([methods.CYCLES] if shutil.which("blender") else [])
 
 
 def _tables(rows: list[dict], names: list[str]) -> str:
@@ -72,31 +82,49 @@ def _claim(rows: list[dict], names: list[str]) -> str:
     return pages.table(header, lines)
 
 
-def make(args, work: pathlib.Path, page: pathlib.Path | None) -> None:
-    """`args` of regenerate_charts.py."""
-    folder = work / "scenes"
-    own = [f"{name}={args.build.resolve() / 'scenes' / (name + '.glb')} {flags}"
+def _whole_frame(run, small: list[dict], scene: str, chosen: list[str]) -> str:
+    """Charts of WHOLE at its own size; a table of CPU seconds there over those in proportion."""
+    rows = _chart(run, [scene], chosen, "whole", WHOLE_FLAGS)
+    floor = results.read_settings(run.work / "whole" / "points.json")["noise_floor"][WHOLE]
+    by_method = results.means_of(rows, WHOLE)
+    drawing.draw_scene(by_method, command.title_of(WHOLE, FRAME, None), floor,
+                       run.made / "scene-whole", png=False)
+    results.write_csv(rows, run.made / "whole.csv")
+    scaled = {(p.method, p.spp): p.values["total_cpu_s"]
+              for points in results.means_of(small, WHOLE).values() for p in points}
+    counts = [p.spp for p in by_method[methods.RAW]]
+    lines = []
+    for method, points in by_method.items():
+        cells = [f"{p.values['total_cpu_s']:.2f} / {scaled[method, p.spp]:.2f} / "
+                 f"{p.values['total_s']:.2f}" for p in points if (method, p.spp) in scaled]
+        lines.append([method, *cells])
+    return (results.sentence(WHOLE, by_method) + "\n\n" + results.sentence(
+        WHOLE, by_method, "total_s") + "\n\n" + pages.table(
+            ["method", *(f"{c:g} spp" for c in counts)], lines))
+
+
+def make(run) -> None:
+    own = [f"{name}={run.build.resolve() / 'scenes' / (name + '.glb')} {flags}"
            for name, flags in OWN.items()]
-    if args.quick:
-        own = own[:1]
-    elif args.scenes:
-        own += [f"{name}={args.scenes / file} {flags}" for name, (file, flags) in OTHERS.items()]
+    if run.quick:
+        own = own[-2:-1]
+    elif run.scenes:
+        own += [f"{name}={run.scenes / file} {flags}" for name, (file, flags) in OTHERS.items()]
     names = [scene.split("=")[0] for scene in own]
-    chosen = ["raw", "regression", "geometric"] if args.quick else _methods(args)
-    rows = _chart(args, own, chosen, folder)
-    floors = results.read_settings(folder / "points.json")["noise_floor"]
-    if args.cycles:
-        # Slow to start, so on two scenes only; what is finished above is not done again.
-        with_peer = [s for s in own if s.split("=")[0] in ("cornell", "kitchen")]
-        found = _chart(args, with_peer, [*chosen, methods.CYCLES], folder)
-        rows += [r for r in found if r["method"] == methods.CYCLES]
-    drawing.draw_main(rows, names, floors, args.out / "accuracy", png=False)
-    drawing.draw_multipliers(rows, names, args.out / "multipliers", png=False)
+    chosen = ["raw", "regression"] if run.quick else _methods(run)
+    rows = _chart(run, own, chosen, "scenes", QUICK_FLAGS if run.quick else FLAGS)
+    floors = results.read_settings(run.work / "scenes" / "points.json")["noise_floor"]
+    drawing.draw_main(rows, names, floors, run.made / "accuracy", png=False)
+    drawing.draw_multipliers(rows, names, run.made / "multipliers", png=False)
     for name in ("still_life", "kitchen"):
         if name in names:
-            drawing.draw_scene(results.means_of(rows, name), f"{name}, {FLAGS[1]} pixels",
-                               floors[name], args.out / f"scene-{name}", png=False)
-    results.write_csv(rows, args.out / "scenes.csv")
-    if page:
-        pages.replace_part(page, "scenes", _tables(rows, names))
-        pages.replace_part(page, "claim", _claim(rows, names))
+            drawing.draw_scene(results.means_of(rows, name), command.title_of(name, SIZE, FRAME),
+                               floors[name], run.made / f"scene-{name}", png=False)
+    results.write_csv(rows, run.made / "scenes.csv")
+    run.add_part("charts.md", "scenes", _tables(rows, names))
+    run.add_part("charts.md", "claim", _claim(rows, names))
+    if WHOLE in names:
+        run.add_part("charts.md", "whole",
+                     _whole_frame(run, rows, own[names.index(WHOLE)],
+                                  [m for m in chosen if m not in (methods.CYCLES, methods.ADAPTIVE)
+                                   and not m.endswith(methods.ORACLE_SUFFIX)]))

@@ -3,14 +3,15 @@
 import csv
 import math
 import pathlib
-import subprocess
+import shutil
 
 import numpy
 from matplotlib import pyplot
 from matplotlib.colors import LogNorm
 
 from charts import pages
-from tessera_chart import drawing
+from tessera_chart import drawing, programs
+from tessera_chart.store import Store
 
 MEAN_LIMIT, VARIANCE_LIMIT = 1e-6, 1e-3  # what the film promises
 # Cells outside of what the film promises, and why.
@@ -22,10 +23,15 @@ STYLES = {"sums float": ("#D55E00", "^"), "sums double": ("#E69F00", "v"),
 LEAST_SHOWN = 1e-16
 
 
-def measure(bench: pathlib.Path, samples_max: int, out: pathlib.Path) -> None:
-    """Writes stability.csv."""
-    with (out / "stability.csv").open("w", encoding="utf-8") as file:
-        subprocess.run([str(bench), str(samples_max)], stdout=file, check=True)
+def measure(run) -> pathlib.Path:
+    """stability.csv, measured or taken up."""
+    store = Store(run.work / "statistics" / run.version.split()[-1])
+    if store.get("done") is None:
+        text = programs.run([str(run.bin("statistics_stability")),
+                             "10000" if run.quick else "1000000000"]).stdout
+        store.path("stability.csv").write_text(text, encoding="utf-8")
+        store.put("done", {"version": run.version})
+    return store.path("stability.csv")
 
 
 def read(path: pathlib.Path) -> list[dict]:
@@ -144,14 +150,13 @@ def table(rows: list[dict]) -> str:
     return pages.table(["case", *methods], lines)
 
 
-def make(bench: pathlib.Path, out: pathlib.Path, page: pathlib.Path | None, quick: bool) -> None:
+def make(run) -> None:
     """Errors: RuntimeError if the film breaks what it promises."""
-    measure(bench, 10000 if quick else 1000000000, out)
-    rows = read(out / "stability.csv")
-    draw_curves(rows, out / "stability")
-    draw_cases(rows, out / "stability-cases")
-    if page:
-        pages.replace_part(page, "cases", table(rows))
+    made = pathlib.Path(shutil.copy(measure(run), run.made))
+    rows = read(made)
+    draw_curves(rows, run.made / "stability")
+    draw_cases(rows, run.made / "stability-cases")
+    run.add_part("stability.md", "cases", table(rows))
     failing = failing_cells_of_film(rows)
     if failing:
         raise RuntimeError("the film breaks its promise: " + "; ".join(failing))
