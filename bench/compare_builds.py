@@ -34,7 +34,10 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--spp", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=6)
     parser.add_argument("--threads", type=int, default=2)
-    return parser.parse_args()
+    args = parser.parse_args()
+    if args.seeds < 2:
+        parser.error(f"--seeds {args.seeds}: errors are between seeds; use 2 or more")
+    return args
 
 
 def view_flags(view) -> list[str]:
@@ -99,6 +102,9 @@ def main() -> int:
             after.render(1000 + seed)
         mean = numpy.mean(before.pictures + after.pictures, axis=0)
         errors = before.error(mean), after.error(mean)
+        if min(*errors, before.cpu, after.cpu) <= 0:
+            sys.exit(f"{view.name}: nothing to divide by (relMSE {errors[0]:g} and {errors[1]:g}, CPU "
+                     f"{before.cpu:g} and {after.cpu:g} s): use a larger --size or --spp")
         ratio, cpu = errors[1] / errors[0], after.cpu / before.cpu
         print(f"| {view.name} | {errors[0]:.5f} | {errors[1]:.5f} | {ratio:.2f} | {cpu:.2f} "
               f"| {before.rays:.2f} | {after.rays:.2f} | {1 / (ratio * cpu):.2f} "

@@ -6,7 +6,7 @@
 
 Parts: scale (docs/charts.md), statistics and filters (docs/stability.md), scenes (docs/charts.md
 and the README's chart). Under half an hour on two idle cores. What is finished is kept in
-BUILD/charts: after Ctrl-C, or anything else that ends it, the same command goes on from there.
+BUILD/charts: after Ctrl-C (exit code 4), or anything else that ends it, the same command goes on.
 docs/ is written to when everything is made, and not before. --scenes is the folder of scenes that
 are not the project's own (apartment.glb, ...); without it they are left out. Cycles is measured
 where blender is installed. --quick makes everything tiny, to try the command itself: never commit
@@ -17,6 +17,7 @@ import argparse
 import pathlib
 import resource
 import shutil
+import signal
 import sys
 import time
 
@@ -85,6 +86,7 @@ def make(args) -> None:
 
 def main() -> int:
     args = parse_arguments()
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C
     try:
         make(args)
     except KeyboardInterrupt:

@@ -36,7 +36,7 @@ def measure(run, sweep) -> list[dict]:
     """By severity of `sweep`: bias of the raw mean relative to the reference's, with its standard
     error over seeds, when the error asked for ends the render, and at the number of samples that
     this takes on average."""
-    seeds = range(101, 101 + (2 if run.quick else NUM_SEEDS))
+    seeds = range(101, 101 + (1 if run.quick else NUM_SEEDS))
     target, most = (1.0, 8) if run.quick else (TARGET, SPP_MAX)
 
     def work(each) -> None:

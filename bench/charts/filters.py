@@ -95,15 +95,19 @@ def table(rows: list[dict]) -> str:
     return pages.table(["method", *_failures(rows)], lines)
 
 
+def _bar(row: dict) -> float:
+    """1.96 standard errors of the bias, per cent; none of a single seed."""
+    return 196 * row["bias_error"] if numpy.isfinite(row["bias_error"]) else 0.0
+
+
 def _draw_bias(axes, rows: list[dict], failure: str) -> None:
     """What filters add to the frame's mean, with 1.96 standard errors over seeds."""
     for index, method in enumerate(_methods(rows)):
         found = [r for r in rows if r["failure"] == failure and r["method"] == method]
-        error = [1.96 * r["bias_error"] if numpy.isfinite(r["bias_error"]) else 0 for r in found]
         # Beside each other, so that bars can be told apart.
         shift = 1.04 ** (index - len(_methods(rows)) / 2)
         axes.errorbar([r["severity"] * shift for r in found], [r["bias"] * 100 for r in found],
-                      yerr=[e * 100 for e in error], label=method, elinewidth=0.8, capsize=1.5,
+                      yerr=[_bar(r) for r in found], label=method, elinewidth=0.8, capsize=1.5,
                       **drawing.style(method, index))
     _severity_axis(axes, failure)
     axes.set_ylabel("added to the mean, %")
@@ -124,7 +128,7 @@ def _draw_adaptive(axes, rows: list[dict]) -> None:
         found = [r for r in rows if r["kind"] == kind]
         axes.errorbar([r["severity"] * (0.97, 1.03)[index] for r in found],
                       [r["bias"] * 100 for r in found],
-                      yerr=[1.96 * r["bias_error"] * 100 for r in found], marker=marker, linewidth=1,
+                      yerr=[_bar(r) for r in found], marker=marker, linewidth=1,
                       markersize=5, capsize=2, color=("#777777", "#4B0092")[index],
                       label=f"{kind}, raw mean")
     _severity_axis(axes, "rare light")
@@ -197,13 +201,26 @@ def bias_table(rows: list[dict], counts: list[dict]) -> str:
     return pages.table(["sweep", "method", *(f"severity {i + 1}" for i in range(columns))], lines)
 
 
+def in_words(rows: list[dict]) -> str:
+    """For each method its greatest ratio, and where every seed says that it harms."""
+    lines = []
+    for method in _methods(rows):
+        of = [r for r in rows if r["method"] == method]
+        most = max(of, key=lambda r: r["ratio"])
+        harms = [f"{r['failure']} {r['severity']:g} ({r['ratio']:.2f})" for r in of if r["least"] > 1]
+        lines.append(f"- `{method}`: at most {most['ratio']:.2f} of raw's error ({most['failure']}, "
+                     f"{most['severity']:g}); above it with every seed: "
+                     + (", ".join(harms) if harms else "nowhere") + ".")
+    return "\n".join(lines)
+
+
 def make(run) -> None:
     measured = sweeps.measure(run)
     rows = [row for sweep in measured for row in sweep.rows()]
     write_csv(rows, run.made / "filters.csv")
     draw_sweeps(rows, run.made / "filters-sweeps")
     draw_heat_map(rows, run.made / "filters-worst")
-    run.add_part("stability.md", "filters", table(rows))
+    run.add_part("stability.md", "filters", table(rows) + "\n\n" + in_words(rows))
     by_name = {sweep.name: sweep for sweep in measured}
     counts = adaptive.measure(run, by_name["rare light"])
     write_csv(counts, run.made / "adaptive.csv")

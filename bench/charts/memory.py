@@ -2,7 +2,7 @@
 
 from tessera_chart.store import Store
 
-SIZES = ("480x270", "960x540", "1920x1080")
+SIZES = ("320x180", "640x360", "1280x720")
 
 
 def measure(tessera, scene, store: Store, quick: bool) -> list[dict]:

@@ -37,9 +37,8 @@ class Run:
     def bin(self, name: str) -> pathlib.Path:
         return self.build / "bin" / name
 
-    def networks(self) -> list[methods.Method]:
-        """OIDN, where it is given."""
-        return [methods.Method(n) for n in (methods.OIDN, methods.OIDN_HQ)] if self.oidn else []
+    def has_oidn(self) -> bool:
+        return self.oidn is not None
 
     def add_part(self, page: str, name: str, text: str) -> None:
         """Text between the marks of that name in docs/PAGE."""

@@ -46,16 +46,17 @@ def _methods(run) -> list[str]:
     """All filters, of the previews ours alone; adaptive sampling; the peers that are here."""
     chosen = [m.name for m in methods.filters_of(run.tessera.denoisers())
               if m.quality == "final" or m.denoiser == "regression"] + [methods.ADAPTIVE]
-    chosen += [m.name for m in run.networks()]
+    if run.has_oidn():
+        chosen += [methods.OIDN, methods.OIDN_HQ]
     return chosen + ([methods.CYCLES] if shutil.which("blender") else [])
 
 
-def _tables(rows: list[dict], names: list[str]) -> str:
+def _tables(rows: list[dict], names: list[str], uncertainty: dict) -> str:
     """For each scene who wins, and equivalent samples by method and sample count."""
     parts = []
     for name in names:
         by_method = results.means_of(rows, name)
-        who_wins = results.sentence(name, by_method).split(": ", 1)[1]
+        who_wins = results.sentence(name, by_method, uncertainty=uncertainty[name]).split(": ", 1)[1]
         parts.append(f"**{name}**: {who_wins}\n\n"
                      + report.multiplier_table(results.multipliers(by_method), as_html=False))
     return "\n\n".join(parts)
@@ -79,7 +80,23 @@ def _claim(rows: list[dict], names: list[str]) -> str:
         lines.append([name, *cells])
     header = ["scene"] + [f"{m}, {n:g}" for m in ("geometric", "-best", "regression")
                           for n in sorted(counts)]
-    return pages.table(header, lines)
+    return "\n".join([pages.table(header, lines), "", *_claim_in_words(found)])
+
+
+def _claim_in_words(found: dict) -> list[str]:
+    """Where baseline 0 reaches the 4 of the claim, how far it comes, and where it harms."""
+    words = []
+    for method, text in (("geometric", "default thresholds"),
+                         ("geometric-best", "the best thresholds for the very picture")):
+        of = {(scene, spp): times for (scene, m, spp), times in found.items() if m == method}
+        if not of:
+            continue
+        (scene, spp), most = max(of.items(), key=lambda item: item[1])
+        reached = [f"{s} at {n:g}" for (s, n), times in of.items() if times >= 4]
+        words.append(f"- With {text} 4 is reached " + (", ".join(reached) if reached else "nowhere")
+                     + f"; the most is {most:.1f} ({scene} at {spp:g} samples). It is below 1 in "
+                     f"{sum(t < 1 for t in of.values())} of {len(of)} cells.")
+    return words
 
 
 def _whole_frame(run, small: list[dict], scene: str, chosen: list[str]) -> str:
@@ -109,11 +126,13 @@ def make(run) -> None:
     if run.quick:
         own = own[-2:-1]
     elif run.scenes:
-        own += [f"{name}={run.scenes / file} {flags}" for name, (file, flags) in OTHERS.items()]
+        # Not last: it takes long, and nothing would run beside it.
+        own[1:1] = [f"{name}={run.scenes / file} {flags}" for name, (file, flags) in OTHERS.items()]
     names = [scene.split("=")[0] for scene in own]
     chosen = ["raw", "regression"] if run.quick else _methods(run)
     rows = _chart(run, own, chosen, "scenes", QUICK_FLAGS if run.quick else FLAGS)
-    floors = results.read_settings(run.work / "scenes" / "points.json")["noise_floor"]
+    settings = results.read_settings(run.work / "scenes" / "points.json")
+    floors = settings["noise_floor"]
     drawing.draw_main(rows, names, floors, run.made / "accuracy", png=False)
     drawing.draw_multipliers(rows, names, run.made / "multipliers", png=False)
     for name in ("still_life", "kitchen"):
@@ -121,7 +140,7 @@ def make(run) -> None:
             drawing.draw_scene(results.means_of(rows, name), command.title_of(name, SIZE, FRAME),
                                floors[name], run.made / f"scene-{name}", png=False)
     results.write_csv(rows, run.made / "scenes.csv")
-    run.add_part("charts.md", "scenes", _tables(rows, names))
+    run.add_part("charts.md", "scenes", _tables(rows, names, settings["uncertainty"]))
     run.add_part("charts.md", "claim", _claim(rows, names))
     if WHOLE in names:
         run.add_part("charts.md", "whole",

@@ -118,7 +118,8 @@ def measure(run) -> list[Sweep]:
               if m.quality == "final" and not m.searched]
     if run.quick:
         chosen = chosen[:2]
-    chosen += run.networks()
+    if run.has_oidn():
+        chosen.append(methods.Method(methods.OIDN))
     folder = run.work / "filters"
     sweeps = [Sweep(name, run, chosen, folder)
               for name in (QUICK_FAILURES if run.quick else FAILURES)]

@@ -186,7 +186,8 @@ def write_all(ladders: list[ladder.Ladder], plan: ladder.Plan, folder: pathlib.P
     settings = {"version": version, "size": plan.size, "frame": plan.frame, "spp": plan.spp, "seeds": plan.seeds,
                 "reference_spp": None if plan.references else plan.reference_spp,
                 "cores": os.cpu_count(),
-                "noise_floor": {e.view.name: e.reference().noise_floor() for e in finished}}
+                "noise_floor": {e.view.name: e.reference().noise_floor() for e in finished},
+                "uncertainty": {e.view.name: e.reference().uncertainty() for e in finished}}
     results.write_points(rows, settings, folder)
     if not finished:
         return []
@@ -199,7 +200,8 @@ def write_all(ladders: list[ladder.Ladder], plan: ladder.Plan, folder: pathlib.P
         name, floor = each.view.name, settings["noise_floor"][each.view.name]
         by_method = results.means_of(rows, name)
         drawing.draw_scene(by_method, title_of(name, plan.size, plan.frame), floor, charts / name)
-        sentences.append(results.sentence(name, by_method))
+        sentences.append(results.sentence(name, by_method,
+                                          uncertainty=settings["uncertainty"][name]))
         scenes.append({"name": name, "sentence": sentences[-1], "chart": charts / f"{name}.svg",
                        "multipliers": results.multipliers(by_method),
                        "pictures": report.pictures_of(each)})

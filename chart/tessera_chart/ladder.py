@@ -143,12 +143,21 @@ class Ladder:
                 todo.append(Task("start-up", 0.4, lambda s=seed: self._render_nothing(s)))
             for spp in plan.spp:
                 for method in self.plan.methods:
+                    if not self._is_measured(method, seed, spp):
+                        continue
                     runner, weight = self._runner(method)
                     if method.searched and seed == plan.seeds[0]:
                         weight = 30
                     todo.append(Task(f"{method.name} at {spp} spp", weight or per_filter,
                                      lambda r=runner, a=(method, seed, spp): r(*a)))
         return todo
+
+    def _is_measured(self, method: methods.Method, seed: int, spp: int) -> bool:
+        """Cycles takes seconds to start, so one seed has to do; adaptive sampling renders at most as
+        much as the longest step, whose own error it can therefore not be asked for."""
+        if method.name == methods.CYCLES:
+            return seed == self.plan.seeds[0]
+        return method.name != methods.ADAPTIVE or spp < self.plan.spp[-1] or len(self.plan.spp) == 1
 
     def _runner(self, method: methods.Method):
         """What measures it, and its weight (0: as a filter)."""
@@ -273,9 +282,10 @@ class Ladder:
         if uniform is None or uniform["rel_mse"] <= 0:
             return
         target = max(uniform["rel_mse"] ** 0.5, 1e-4)
+        most = self.plan.spp[-1] if len(self.plan.spp) > 1 else 4 * spp
         picture = self.picture(method.name, seed, spp)
         figures, cpu_s = self.plan.tessera.run(
-            "render", *self._render_flags(4 * self.plan.spp[-1], seed), "--target-error",
+            "render", *self._render_flags(most, seed), "--target-error",
             f"{target:.6g}", "--layers", "final", "-o", picture)
         seconds = figures["seconds"]
         self.store.put(key, {"own_spp": figures["spp"], "target": target,

@@ -58,6 +58,13 @@ class Reference:
         square = (self.first - self.second) ** 2 / 4
         return float((square / (self.mean ** 2 + RELATIVE_FLOOR)).mean())
 
+    def uncertainty(self) -> float:
+        """Standard error of relMSE by the two references' noise, for a perfect picture, whose
+        (x - r1)(x - r2) has the variance v^2; v is half the squared difference on average. 0 where
+        only one is known."""
+        noise = ((self.first - self.second) ** 2 / 2 / (self.mean ** 2 + RELATIVE_FLOOR)).mean(axis=2)
+        return float(numpy.sqrt((noise ** 2).sum()) / noise.size)
+
     def relative_errors(self, picture: numpy.ndarray) -> numpy.ndarray:
         """By pixel, height x width: (x - r1)(x - r2) / (r^2 + 0.01), the mean over channels.
 

@@ -61,6 +61,7 @@ def run(command: list[str], variables: dict[str, str] | None = None) -> Outcome:
             _running.add(child)
         try:
             _, status, usage = os.wait4(child.pid, 0)
+            child.returncode = os.waitstatus_to_exitcode(status)
         except BaseException:
             child.send_signal(signal.SIGKILL)
             child.wait()
@@ -70,7 +71,6 @@ def run(command: list[str], variables: dict[str, str] | None = None) -> Outcome:
                 _running.discard(child)
         if _stopped:
             raise Stopped
-        child.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         err.seek(0)
         text = out.read().decode("utf-8", errors="replace")

@@ -93,8 +93,13 @@ def multipliers(by_method: dict[str, list[Mean]]) -> list[tuple[str, float, floa
     return rows
 
 
-def sentence(scene: str, by_method: dict[str, list[Mean]], cost: str = "total_cpu_s") -> str:
-    """Who has the least relMSE at 1 s, 10 s and 60 s; oracles and other renderers do not compete."""
+def sentence(scene: str, by_method: dict[str, list[Mean]], cost: str = "total_cpu_s",
+             uncertainty: float = 0.0) -> str:
+    """Who has the least relMSE at 1 s, 10 s and 60 s; oracles and other renderers do not compete.
+
+    `uncertainty`: standard error of relMSE by the references' noise; below twice that nothing is
+    said about who is first.
+    """
     competing = {m: (column(p, cost), column(p, "rel_mse")) for m, p in by_method.items()
                  if not m.endswith(methods.ORACLE_SUFFIX) and m != methods.CYCLES}
     parts, beyond_all = [], []
@@ -104,6 +109,11 @@ def sentence(scene: str, by_method: dict[str, list[Mean]], cost: str = "total_cp
             beyond_all.append(str(budget))
             continue
         name, error, beyond, second, second_error = won
+        if error < 2 * uncertainty:
+            parts.append(f"at {budget} s more than one within the references' noise ({name} first)"
+                         if second and second_error < 2 * uncertainty else
+                         f"at {budget} s {name} (within the references' noise)")
+            continue
         text = f"at {budget} s {name} (relMSE {error:.2g}"
         if second:
             text += f"; next {second}, {second_error / error:.2f} times that"
