@@ -49,15 +49,18 @@ class Outcome:
 def run(command: list[str], variables: dict[str, str] | None = None) -> Outcome:
     """Runs `command` to its end, with `variables` added to the environment; from any thread.
 
-    Errors: BadInput with its last line on stderr; Stopped.
+    Errors: BadInput if it cannot be started or fails, with its last line on stderr; Stopped.
     """
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         # A session of its own: Ctrl-C reaches this program alone, which then ends the child.
         with _lock:
             if _stopped:
                 raise Stopped
-            child = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True,
-                                     env=dict(os.environ, **variables) if variables else None)
+            try:
+                child = subprocess.Popen(command, stdout=out, stderr=err, start_new_session=True,
+                                         env=dict(os.environ, **variables) if variables else None)
+            except OSError as error:
+                raise BadInput(f"{command[0]}: cannot be started: {error.strerror}") from error
             _running.add(child)
         try:
             _, status, usage = os.wait4(child.pid, 0)
