@@ -18,22 +18,12 @@ constexpr float kVisibilityFloor = 0.004f;
 
 constexpr SkyVisibility AllSeen() {
   SkyVisibility all = {};
-  for (uint8_t& share : all) share = 255;
+  for (float& share : all) share = 1;
   return all;
 }
 constexpr SkyVisibility kAllSeen = AllSeen();
 
 float FinitePositive(float x) { return x > 0 && x < 3e38f ? x : 0.f; }
-
-inline Float8 Load8(const uint8_t* from) {
-  // By shifts of 32-bit numbers: the compiler converts bytes to floats one by one.
-  uint32_t words[2];
-  std::memcpy(words, from, sizeof(words));
-  const UInt8 low = UInt8{} + words[0], high = UInt8{} + words[1];
-  const UInt8 both = __builtin_shufflevector(low, high, 0, 1, 2, 3, 8, 9, 10, 11);
-  const UInt8 bytes = (both >> UInt8{0, 8, 16, 24, 0, 8, 16, 24}) & 255u;
-  return __builtin_convertvector(reinterpret_cast<Int8>(bytes), Float8);
-}
 
 // Mean of the positive part of a cosine that is spread evenly by kCellRadius about `cosine`.
 inline Float8 SpreadCosine(Float8 cosine) {
@@ -44,22 +34,9 @@ inline Float8 SpreadCosine(Float8 cosine) {
   return part * part * (1 / (4 * kCellRadius)) + (rest > 0 ? rest : zero);
 }
 
-// Chooses one of n weights, `stride` apart, proportionally by *u * total; *u becomes the position
-// inside it.
-int Choose(const float* weights, int n, int stride, float total, float* u) {
-  float left = *u * total;
-  int last = 0;
-  for (int i = 0; i < n; ++i) {
-    const float weight = weights[i * stride];
-    if (left < weight) {
-      *u = std::min(left / weight, 0x1.fffffep-1f);
-      return i;
-    }
-    if (weight > 0) last = i;
-    left -= weight;
-  }
-  *u = 0x1.fffffep-1f;  // rounding
-  return last;
+// Of cells with this light, of which the share `seen` arrives.
+inline Float8 CellWeight(Float8 light, Float8 cosine, Float8 seen) {
+  return light * SpreadCosine(cosine) * (seen + kVisibilityFloor);
 }
 
 }  // namespace
@@ -163,6 +140,7 @@ void EnvironmentSampler::MakeMapCells(const std::vector<float>& weights) {
       cell_y_[cell] = d.y;
       cell_z_[cell] = d.z;
       cell_light_[cell] = static_cast<float>(light);
+      if (cell_light_[cell] > 0) lit_cell_ = cell;
       irradiance_ += light;
     }
   }
@@ -175,45 +153,11 @@ int64_t EnvironmentSampler::memory_bytes() const {
          (texels_ ? texels_->memory_bytes() : 0);
 }
 
-std::span<const float> EnvironmentSampler::ColumnSums(int row, int c) const {
-  const size_t first = static_cast<size_t>(row) * (light_.width + kSkyColumns) +
-                       static_cast<size_t>(column_edges_[c] + c);
-  return {&column_sums_[first], static_cast<size_t>(column_edges_[c + 1] - column_edges_[c] + 1)};
-}
-
-std::span<const float> EnvironmentSampler::RowSums(int cell) const {
-  const int r = cell / kSkyColumns, c = cell % kSkyColumns;
-  const size_t first =
-      static_cast<size_t>(c) * (light_.height + kSkyRows) + static_cast<size_t>(row_edges_[r] + r);
-  return {&row_sums_[first], static_cast<size_t>(row_edges_[r + 1] - row_edges_[r] + 1)};
-}
-
-V2f EnvironmentSampler::UvOfDirection(const V3f& d) const {
-  // Into the map's frame: turned back about +y; its centre column looks along +x.
-  const float x = rotate_cos_ * d.x - rotate_sin_ * d.z;
-  const float z = rotate_sin_ * d.x + rotate_cos_ * d.z;
-  return {Clamp01(ArcTan2(z, x) * (1 / kTwoPiFloat) + 0.5f), Clamp01(ArcCos(d.y) * kInvPiFloat)};
-}
-
 V3f EnvironmentSampler::DirectionOf(float cosine, float turns) const {
   const float sine = std::sqrt(Clamp01(1 - cosine * cosine));
   const SinCos<float> phi = SinCosTurns(turns);
   const float x = sine * phi.cos, z = sine * phi.sin;
   return {rotate_cos_ * x + rotate_sin_ * z, cosine, rotate_cos_ * z - rotate_sin_ * x};
-}
-
-V3f EnvironmentSampler::Radiance(const V3f& direction) const {
-  return uniform_ ? light_.uniform : texels_->At(UvOfDirection(direction));
-}
-
-Vec8 EnvironmentSampler::Radiance(const Vec8& d) const {
-  if (uniform_) {
-    return {Spread8(light_.uniform.x), Spread8(light_.uniform.y), Spread8(light_.uniform.z)};
-  }
-  const Float8 x = rotate_cos_ * d.x - rotate_sin_ * d.z;
-  const Float8 z = rotate_sin_ * d.x + rotate_cos_ * d.z;
-  return texels_->At(Clamp01(ArcTan2(z, x) * (1 / kTwoPiFloat) + 0.5f),
-                     Clamp01(ArcCos(d.y) * kInvPiFloat));
 }
 
 void EnvironmentSampler::Look(const V3f& normal, bool transmits, const SkyVisibility* visibility,
@@ -234,102 +178,45 @@ void EnvironmentSampler::Look(const V3f& normal, bool transmits, const SkyVisibi
 template <bool kTransmits>
 float EnvironmentSampler::WeighCells(const V3f& normal, const SkyVisibility& seen,
                                      SkyWeights* weights) const {
-  const Float8 nx = Float8{} + normal.x, ny = Float8{} + normal.y, nz = Float8{} + normal.z;
-  Float8 columns[kSkyColumns / 8] = {};
-  for (int first = 0; first < kSkyCells; first += 8) {
-    Float8 cosine =
-        nx * Load8(&cell_x_[first]) + ny * Load8(&cell_y_[first]) + nz * Load8(&cell_z_[first]);
-    if (kTransmits) cosine = cosine < 0 ? -cosine : cosine;
-    const Float8 visible = Load8(&seen[first]) * (1 / 255.f) + kVisibilityFloor;
-    const Float8 cells = Load8(&cell_light_[first]) * SpreadCosine(cosine) * visible;
-    std::memcpy(&weights->cells[first], &cells, sizeof(cells));
-    columns[(first / 8) % (kSkyColumns / 8)] += cells;
+  const Vec8 n = {Spread8(normal.x), Spread8(normal.y), Spread8(normal.z)};
+  const auto weigh = [&](int first) {
+    const Vec8 d = {Load8(&cell_x_[first]), Load8(&cell_y_[first]), Load8(&cell_z_[first])};
+    Float8 cosine = Dot8(n, d);
+    if (kTransmits) cosine = Abs8(cosine);
+    const Float8 cells = CellWeight(Load8(&cell_light_[first]), cosine, Load8(&seen[first]));
+    Store8(&weights->cells[first], cells);
+    return cells;
+  };
+  static_assert(kSkyColumns == 2 * kFloat8Lanes);
+  Float8 left = {}, right = {};
+  for (int first = 0; first < kSkyCells; first += kSkyColumns) {
+    left += weigh(first);
+    right += weigh(first + kFloat8Lanes);
   }
-  std::memcpy(weights->columns.data(), columns, sizeof(columns));
-  float total = 0;
-  for (float column : weights->columns) total += column;
-  return total;
+  left = RunningSums8(left);
+  right = RunningSums8(right) + left[kFloat8Lanes - 1];
+  weights->columns[0] = 0;
+  Store8(&weights->columns[1], left);
+  Store8(&weights->columns[1 + kFloat8Lanes], right);
+  return right[kFloat8Lanes - 1];
 }
 
-// One of the weights of WeighCells, bit for bit.
-float EnvironmentSampler::CellWeight(const SkyView& view, int cell) const {
-  float cosine =
-      view.normal.x * cell_x_[cell] + view.normal.y * cell_y_[cell] + view.normal.z * cell_z_[cell];
-  if (view.transmits) cosine = std::fabs(cosine);
-  const float visible =
-      static_cast<float>((*view.visibility)[cell]) * (1 / 255.f) + kVisibilityFloor;
-  return cell_light_[cell] * SpreadCosine(Float8{} + cosine)[0] * visible;
-}
-
-DirectionSample EnvironmentSampler::SampleCell(int cell, const V2f& u) const {
-  const int r = cell / kSkyColumns, c = cell % kSkyColumns;
-  if (uniform_) {
-    const float cosine = 1 - (static_cast<float>(r) + u.y) * (2.f / kSkyRows);
-    const float turns = (static_cast<float>(c) + u.x) * (1.f / kSkyColumns) - 0.5f;
-    return {DirectionOf(cosine, turns), kSkyCells / (4 * kPiFloat), light_.uniform};
+// Those of WeighCells, bit for bit.
+Float8 EnvironmentSampler::CellWeights(std::span<const SkyView* const> views,
+                                       const Lanes& cells) const {
+  Vec8 normal, direction;
+  Float8 light = {}, seen = {};
+  Int8 transmits = {};
+  for (size_t i = 0; i < views.size(); ++i) {
+    const int lane = static_cast<int>(i), cell = cells[i];
+    normal.Set(lane, views[i]->normal);
+    direction.Set(lane, {cell_x_[cell], cell_y_[cell], cell_z_[cell]});
+    light[lane] = cell_light_[cell];
+    seen[lane] = (*views[i]->visibility)[cell];
+    transmits[lane] = views[i]->transmits;
   }
-  if (!(cell_light_[cell] > 0)) return {V3f(0, 1, 0), 0, V3f(0, 0, 0)};
-  float uy = u.y, ux = u.x;
-  const int y = row_edges_[r] + SampleRunningSums(RowSums(cell), &uy);
-  const int x = column_edges_[c] + SampleRunningSums(ColumnSums(y, c), &ux);
-  // Uniform in solid angle inside the texel.
-  const float cosine = row_cosines_[y] + (row_cosines_[y + 1] - row_cosines_[y]) * uy;
-  const float u_map = (static_cast<float>(x) + ux) / light_.width;
-  return {DirectionOf(cosine, u_map - 0.5f), TexelDensity(cell, x, y),
-          texels_->At({u_map, Clamp01(ArcCos(cosine) * kInvPiFloat)})};
-}
-
-float EnvironmentSampler::TexelDensity(int cell, int x, int y) const {
-  const int r = cell / kSkyColumns, c = cell % kSkyColumns;
-  const std::span<const float> rows = RowSums(cell), columns = ColumnSums(y, c);
-  const int dy = y - row_edges_[r], dx = x - column_edges_[c];
-  const float solid_angle = (row_cosines_[y] - row_cosines_[y + 1]) * kTwoPiFloat / light_.width;
-  // Next to the poles of a very high map; never chosen then.
-  if (!(solid_angle > 0)) return 0;
-  return (rows[dy + 1] - rows[dy]) * (columns[dx + 1] - columns[dx]) / solid_angle;
-}
-
-DirectionSample EnvironmentSampler::Sample(const SkyView& view, const SkyWeights& weights,
-                                           const V2f& u) const {
-  if (view.by_cosine) {
-    const SinCos<float> phi = SinCosTurns(u.x);
-    const float r = std::sqrt(u.y), cosine = std::sqrt(1 - u.y);
-    const V3f local(r * phi.cos, r * phi.sin, cosine);
-    return {Onb(view.normal).ToWorld(local), cosine * kInvPiFloat, light_.uniform};
-  }
-  if (!(view.total > 0)) return {V3f(0, 1, 0), 0, V3f(0, 0, 0)};
-  V2f inside = u;
-  const int c = Choose(weights.columns.data(), kSkyColumns, 1, view.total, &inside.x);
-  const int r = Choose(&weights.cells[c], kSkyRows, kSkyColumns, weights.columns[c], &inside.y);
-  const int cell = r * kSkyColumns + c;
-  DirectionSample sample = SampleCell(cell, inside);
-  sample.pdf *= weights.cells[cell] / view.total;
-  return sample;
-}
-
-V3f EnvironmentSampler::RadianceAndPdf(const SkyView& view, const V3f& direction,
-                                       float* pdf) const {
-  if (view.by_cosine) {
-    *pdf = std::max(0.f, view.normal.dot(direction)) * kInvPiFloat;
-    return light_.uniform;
-  }
-  const V2f uv = UvOfDirection(direction);
-  *pdf = view.total > 0 ? PdfAt(view, direction, uv) : 0;
-  return uniform_ ? light_.uniform : texels_->At(uv);
-}
-
-float EnvironmentSampler::PdfAt(const SkyView& view, const V3f& direction, const V2f& uv) const {
-  if (uniform_) {
-    const int r = std::min(static_cast<int>((1 - direction.y) * (0.5f * kSkyRows)), kSkyRows - 1);
-    const int c = std::min(static_cast<int>(uv.x * kSkyColumns), kSkyColumns - 1);
-    const float share = CellWeight(view, std::max(r, 0) * kSkyColumns + c) / view.total;
-    return share * (kSkyCells / (4 * kPiFloat));
-  }
-  const int x = std::min(static_cast<int>(uv.x * light_.width), light_.width - 1);
-  const int y = std::min(static_cast<int>(uv.y * light_.height), light_.height - 1);
-  const int cell = row_of_texel_[y] * kSkyColumns + column_of_texel_[x];
-  const float share = CellWeight(view, cell) / view.total;
-  return share > 0 ? share * TexelDensity(cell, x, y) : 0.f;
+  const Float8 cosine = Dot8(normal, direction);
+  return CellWeight(light, transmits != 0 ? Abs8(cosine) : cosine, seen);
 }
 
 }  // namespace tessera

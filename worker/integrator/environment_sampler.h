@@ -23,8 +23,8 @@ inline constexpr int kSkyRows = 8;
 inline constexpr int kSkyColumns = 16;
 inline constexpr int kSkyCells = kSkyRows * kSkyColumns;
 
-// By cell of the sky, row-major from the top: the share of its light that arrives, 0 ... 255.
-using SkyVisibility = std::array<uint8_t, kSkyCells>;
+// By cell of the sky, row-major from the top: the share of its light that arrives, [0, 1].
+using SkyVisibility = std::array<float, kSkyCells>;
 
 struct DirectionSample {
   V3f direction;  // unit, towards the environment
@@ -44,7 +44,21 @@ struct SkyView {
 // What it expects of each cell: the density of its choice, times `total`.
 struct SkyWeights {
   alignas(32) std::array<float, kSkyCells> cells;
-  alignas(32) std::array<float, kSkyColumns> columns;  // sums
+  std::array<float, kSkyColumns + 1> columns;  // running sums over the columns' cells, from 0
+};
+
+// A direction to be drawn, from two numbers in [0, 1).
+struct SkyDraw {
+  const SkyView* view;
+  const SkyWeights* weights;
+  V2f u;
+};
+
+// Of up to eight directions.
+struct SkyDirections {
+  Vec8 direction;  // unit, towards the environment
+  Float8 pdf;      // 1/sr; 0: nothing to choose
+  Vec8 radiance;   // from there
 };
 
 class EnvironmentSampler {
@@ -65,33 +79,55 @@ class EnvironmentSampler {
   // What a receiver sees; `weights` are left alone if the view is by_cosine. Borrows `visibility`.
   void Look(const V3f& normal, bool transmits, const SkyVisibility* visibility, SkyView* view,
             SkyWeights* weights) const;
-  // pdf 0: nothing to choose.
+  // At most eight at once, at least one. Lanes beyond are not defined.
+  SkyDirections Sample(std::span<const SkyDraw> draws) const;
   DirectionSample Sample(const SkyView& view, const SkyWeights& weights, const V2f& u) const;
-  // Radiance from `direction`, and the density with which Sample chooses it, 1/sr.
+  // Fills `pdf` and `radiance` for the directions that these views, at most eight, look into: the
+  // density with which Sample chooses them.
+  void Find(std::span<const SkyView* const> views, SkyDirections* directions) const;
   V3f RadianceAndPdf(const SkyView& view, const V3f& direction, float* pdf) const;
-  // A direction inside a cell by its light alone; pdf: 1/sr, given the cell, 0 for a black cell.
-  DirectionSample SampleCell(int cell, const V2f& u) const;
+  // Directions inside a cell by its light alone, from numbers in [0, 1); pdf: given the cell, 0 for
+  // a black cell.
+  SkyDirections SampleCell(int cell, Float8 u_x, Float8 u_y) const;
 
  private:
+  // By lane. Where in each cell.
+  using Lanes = std::array<int, kFloat8Lanes>;
+  struct Places {
+    Lanes cells;
+    Float8 u_x, u_y;  // replaced by the positions inside texels
+  };
   template <bool kTransmits>
   float WeighCells(const V3f& normal, const SkyVisibility& seen, SkyWeights* weights) const;
-  float CellWeight(const SkyView& view, int cell) const;
+  Vec8 UniformRadiance() const;
+  Float8 CellWeights(std::span<const SkyView* const> views, const Lanes& cells) const;
+  SkyDirections SampleCosine(std::span<const SkyDraw> draws) const;
+  SkyDirections SampleCells(Places* places) const;
+  // pdf: given the cells.
+  SkyDirections SampleMapCells(Places* places) const;
   void MakeUniformCells();
   void MakeMapCells(const std::vector<float>& weights);
-  // Position in the map: u to the right and v down, both [0, 1].
+  // Positions in the map: u to the right and v down, both [0, 1].
+  struct Uv8 {
+    Float8 u, v;
+  };
   V2f UvOfDirection(const V3f& d) const;
+  Uv8 UvOfDirections(const Vec8& d) const;
   V3f DirectionOf(float cosine, float turns) const;
-  float PdfAt(const SkyView& view, const V3f& direction, const V2f& uv) const;
+  Vec8 DirectionsOf(Float8 cosine, Float8 turns) const;
+  Float8 PdfAt(std::span<const SkyView* const> views, const Vec8& directions, const Uv8& uv) const;
   // The light's running sums over the texels of a row that are a cell's, and over a cell's rows.
   std::span<const float> ColumnSums(int row, int cell_column) const;
   std::span<const float> RowSums(int cell) const;
-  float TexelDensity(int cell, int x, int y) const;
+  // Of texels, given their rows' and their own shares of light; 1/sr.
+  Float8 TexelDensity(const Lanes& rows, Float8 row_shares, Float8 shares) const;
 
   const EnvironmentLight& light_;
   bool uniform_;
   std::optional<SkyTexels> texels_;  // of a map
   float rotate_sin_ = 0, rotate_cos_ = 1;
   double irradiance_ = 0;
+  int lit_cell_ = 0;  // one that has light, if any has
   // By cell. Light: W/m^2 of luminance. The mean direction of its light, by coordinate for SIMD.
   alignas(32) std::array<float, kSkyCells> cell_light_ = {};
   alignas(32) std::array<float, kSkyCells> cell_x_ = {}, cell_y_ = {}, cell_z_ = {};

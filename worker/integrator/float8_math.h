@@ -99,6 +99,21 @@ inline Int8 Floor8(Float8 x) {
   return truncated + (Float8Of(truncated) > x);
 }
 
+// Lane i: the sum of lanes 0 ... i.
+inline Float8 RunningSums8(Float8 x) {
+  const Float8 zero = {};
+  x += __builtin_shufflevector(zero, x, 0, 8, 9, 10, 11, 12, 13, 14);
+  x += __builtin_shufflevector(zero, x, 0, 0, 8, 9, 10, 11, 12, 13);
+  return x + __builtin_shufflevector(zero, x, 0, 0, 0, 0, 8, 9, 10, 11);
+}
+
+// How many lanes are set.
+inline int Count8(Int8 mask) {
+  mask += __builtin_shufflevector(mask, mask, 4, 5, 6, 7, 0, 1, 2, 3);
+  mask += __builtin_shufflevector(mask, mask, 2, 3, 0, 1, 6, 7, 4, 5);
+  return -(mask[0] + mask[1]);
+}
+
 inline Float8 Dot8(const Vec8& a, const Vec8& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
 
 // Of vectors that are not zero.

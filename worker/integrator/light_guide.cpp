@@ -135,7 +135,7 @@ LightGuide::Region LightGuide::LearnRegion(const Parts& parts, std::span<const P
   // Of a leaf that could not be split there may be many points.
   points = points.first(std::min(points.size(), kRegionPoints));
   Region region;
-  region.sky.fill(255);
+  region.sky.fill(1);
   std::array<double, kNumLightGroups> weights = {};
   if (parts.lights.has_group(kEnvironmentGroup)) {
     LearnSky(parts, points, &region);
@@ -166,19 +166,28 @@ void LightGuide::LearnSky(const Parts& parts, std::span<const Point> points, Reg
   for (int cell = 0; cell < kSkyCells; ++cell) {
     float seen = 0;
     int rays = 0;
-    for (size_t i = 0; i < points.size(); ++i) {
-      const Point& p = points[i];
-      const SobolSampler sampler(kPilotSeed, 1, cell, 2 * static_cast<int64_t>(i));
-      const DirectionSample d = parts.environment->SampleCell(cell, sampler.Get2D(0));
-      if (!(d.pdf > 0) || d.direction.dot(p.normal) <= 0) continue;
-      ++rays;
-      seen += parts.embree.Transmittance({p.position, d.direction, kInfinity});
+    for (size_t first = 0; first < points.size(); first += kFloat8Lanes) {
+      const auto some =
+          points.subspan(first, std::min<size_t>(kFloat8Lanes, points.size() - first));
+      Float8 u_x = {}, u_y = {};
+      for (size_t i = 0; i < some.size(); ++i) {
+        const SobolSampler sampler(kPilotSeed, 1, cell, 2 * static_cast<int64_t>(first + i));
+        const V2f u = sampler.Get2D(0);
+        u_x[i] = u.x;
+        u_y[i] = u.y;
+      }
+      const SkyDirections sampled = parts.environment->SampleCell(cell, u_x, u_y);
+      for (size_t i = 0; i < some.size(); ++i) {
+        const V3f direction = sampled.direction.Get(static_cast<int>(i));
+        if (!(sampled.pdf[i] > 0) || direction.dot(some[i].normal) <= 0) continue;
+        ++rays;
+        seen += parts.embree.Transmittance({some[i].position, direction, kInfinity});
+      }
     }
     if (rays == 0) continue;
-    // A tenth of a ray of doubt.
-    const float share = (seen + 0.1f) / (static_cast<float>(rays) + 0.2f);
     if (seen < static_cast<float>(rays)) region->open = false;
-    region->sky[cell] = static_cast<uint8_t>(255 * share);
+    // A tenth of a ray of doubt.
+    region->sky[cell] = (seen + 0.1f) / (static_cast<float>(rays) + 0.2f);
   }
 }
 
@@ -192,8 +201,8 @@ double LightGuide::Irradiance(const Parts& parts, LightGroup group, std::span<co
     for (uint32_t k = 0; k < kLightSamples; ++k) {
       const SobolSampler sampler(kPilotSeed, 2, group, 2 * static_cast<int64_t>(i));
       LightSample light;
-      if (!parts.lights.SampleGroup(group, view, {}, sampler.Get2D(2 * k).x,
-                                    sampler.Get2D(2 * k + 1), &light)) {
+      if (!parts.lights.SampleGroup(group, view, sampler.Get2D(2 * k).x, sampler.Get2D(2 * k + 1),
+                                    &light)) {
         continue;
       }
       const float cosine = light.wi.dot(p.normal);

@@ -54,7 +54,7 @@ class LightGuide {
   int num_regions() const { return static_cast<int>(regions_.size()); }
 
   static constexpr int kPointsMax = 4096;
-  static constexpr size_t kPlacesMax = 16;
+  static constexpr size_t kPlacesMax = 32;
 
  private:
   struct Point {

@@ -191,34 +191,60 @@ void LightSampler::Look(std::span<LightLook> looks) const {
   }
 }
 
-bool LightSampler::Sample(const LightView& view, const LightWeights& weights, float u_choice,
-                          const V2f& u, LightSample* sample) const {
-  int group = 0;
-  for (; group + 1 < kNumLightGroups; ++group) {
-    if (u_choice < view.shares[group]) break;
-    u_choice -= view.shares[group];
+void LightSampler::Sample(std::span<LightDraw> draws) const {
+  TESSERA_CHECK(draws.size() <= kLooksMax);
+  std::array<LightDraw*, kLooksMax> sky;
+  size_t num_sky = 0;
+  for (LightDraw& draw : draws) {
+    const LightShares& shares = draw.view->shares;
+    int group = 0;
+    for (; group + 1 < kNumLightGroups; ++group) {
+      if (draw.u_choice < shares[group]) break;
+      draw.u_choice -= shares[group];
+    }
+    draw.lit = false;
+    if (!(shares[group] > 0)) continue;
+    if (group == kEnvironmentGroup) {
+      sky[num_sky++] = &draw;
+      continue;
+    }
+    const float choice = std::min(draw.u_choice / shares[group], 0x1.fffffep-1f);
+    draw.lit = SampleGroup(static_cast<LightGroup>(group), *draw.view, choice, draw.u, draw.sample);
+    draw.sample->pdf *= shares[group];
+    draw.lit = draw.lit && draw.sample->pdf > 0;
   }
-  const float share = view.shares[group];
-  if (!(share > 0)) return false;
-  u_choice = std::min(u_choice / share, 0x1.fffffep-1f);
-  if (!SampleGroup(static_cast<LightGroup>(group), view, weights, u_choice, u, sample)) {
-    return false;
+  for (size_t first = 0; first < num_sky; first += kFloat8Lanes) {
+    SampleSky({&sky[first], std::min<size_t>(kFloat8Lanes, num_sky - first)});
   }
-  sample->pdf *= share;
-  return sample->pdf > 0;
 }
 
-bool LightSampler::SampleGroup(LightGroup group, const LightView& view, const LightWeights& weights,
-                               float u_choice, const V2f& u, LightSample* sample) const {
-  if (group == kEnvironmentGroup) {
-    const DirectionSample d = environment_->Sample(view.sky, weights, u);
-    sample->wi = d.direction;
-    sample->radiance = d.radiance;
-    sample->pdf = d.pdf;
+void LightSampler::SampleSky(std::span<LightDraw* const> draws) const {
+  std::array<SkyDraw, kFloat8Lanes> sky;
+  for (size_t i = 0; i < draws.size(); ++i) {
+    sky[i] = {&draws[i]->view->sky, draws[i]->weights, draws[i]->u};
+  }
+  const SkyDirections sampled = environment_->Sample({sky.data(), draws.size()});
+  for (size_t i = 0; i < draws.size(); ++i) {
+    const int lane = static_cast<int>(i);
+    LightSample* sample = draws[i]->sample;
+    sample->wi = sampled.direction.Get(lane);
+    sample->radiance = sampled.radiance.Get(lane);
+    sample->pdf = sampled.pdf[lane] * draws[i]->view->shares[kEnvironmentGroup];
     sample->punctual = false;
     sample->at_infinity = true;
-    return d.pdf > 0;
+    draws[i]->lit = sample->pdf > 0;
   }
+}
+
+bool LightSampler::Sample(const LightView& view, const LightWeights& weights, float u_choice,
+                          const V2f& u, LightSample* sample) const {
+  LightDraw draw = {&view, &weights, u_choice, u, sample, false};
+  Sample({&draw, 1});
+  return draw.lit;
+}
+
+bool LightSampler::SampleGroup(LightGroup group, const LightView& view, float u_choice,
+                               const V2f& u, LightSample* sample) const {
   float probability = 0;
   bool lit = false;
   if (group == kSunGroup) {
@@ -302,12 +328,20 @@ float LightSampler::TrianglePdf(const LightView& view, uint32_t instance, uint32
   return probability * distance * distance / projected;
 }
 
-V3f LightSampler::Escaped(const LightView& view, const V3f& wi, float* pdf) const {
-  *pdf = 0;
-  if (!has_group(kEnvironmentGroup)) return V3f(0, 0, 0);
-  const V3f radiance = environment_->RadianceAndPdf(view.sky, wi, pdf);
-  *pdf *= view.shares[kEnvironmentGroup];
-  return radiance;
+void LightSampler::Escaped(std::span<const LightView* const> views,
+                           SkyDirections* directions) const {
+  TESSERA_CHECK(views.size() <= kFloat8Lanes);
+  directions->pdf = Float8{};
+  directions->radiance = Vec8{};
+  if (!has_group(kEnvironmentGroup)) return;
+  std::array<const SkyView*, kFloat8Lanes> sky;
+  Float8 shares = {};
+  for (size_t i = 0; i < views.size(); ++i) {
+    sky[i] = &views[i]->sky;
+    shares[i] = views[i]->shares[kEnvironmentGroup];
+  }
+  environment_->Find({sky.data(), views.size()}, directions);
+  directions->pdf *= shares;
 }
 
 }  // namespace tessera

@@ -54,6 +54,16 @@ struct LightLook {
   LightWeights* weights;
 };
 
+// A light to be chosen, and a point on it, from numbers in [0, 1).
+struct LightDraw {
+  const LightView* view;
+  const LightWeights* weights;
+  float u_choice;
+  V2f u;
+  LightSample* sample;
+  bool lit;  // the answer: else the choice lights nothing here
+};
+
 class LightSampler {
  public:
   // Instances repeat emissive triangles without bound; the tables of so many take about 1 GB while
@@ -76,20 +86,23 @@ class LightSampler {
   int64_t memory_bytes() const;
 
   // Makes the views from surfaces, at most kLooksMax at once.
-  static constexpr size_t kLooksMax = 16;
+  static constexpr size_t kLooksMax = 32;
   void Look(std::span<LightLook> looks) const;
-  // False if the choice lights nothing here. u_choice and u in [0, 1).
+  // At most kLooksMax draws at once.
+  void Sample(std::span<LightDraw> draws) const;
+  // One of them.
   bool Sample(const LightView& view, const LightWeights& weights, float u_choice, const V2f& u,
               LightSample* sample) const;
-  // The same given the group.
-  bool SampleGroup(LightGroup group, const LightView& view, const LightWeights& weights,
-                   float u_choice, const V2f& u, LightSample* sample) const;
+  // The same given the group, which is not the environment.
+  bool SampleGroup(LightGroup group, const LightView& view, float u_choice, const V2f& u,
+                   LightSample* sample) const;
   // 1/sr, of Sample choosing the point of a triangle that a ray from the viewer along unit `wi` met
   // at `distance`.
   float TrianglePdf(const LightView& view, uint32_t instance, uint32_t triangle, const V3f& wi,
                     float distance) const;
-  // Radiance from infinity, and the density with which Sample finds it; zeros without any.
-  V3f Escaped(const LightView& view, const V3f& wi, float* pdf) const;
+  // Radiance from infinity, and the density with which Sample finds it; zeros without any. By lane,
+  // for rays into `directions` that left from these views, at most eight.
+  void Escaped(std::span<const LightView* const> views, SkyDirections* directions) const;
 
  private:
   // A local light: a triangle of an instance, or a punctual light.
@@ -100,6 +113,8 @@ class LightSampler {
   };
 
   void CollectSuns();
+  // Draws of the environment, at most eight.
+  void SampleSky(std::span<LightDraw* const> draws) const;
   // Returns their power, W.
   double CollectLocalLights(size_t lights_max);
   LightBounds TriangleBounds(uint32_t instance, uint32_t triangle, float peak) const;

@@ -80,12 +80,10 @@ void PathWalker::Intersect(Batch* batch) const {
     PathState& path = batch->paths[i];
     const uint64_t key = path.hash_key + static_cast<uint64_t>(path.depth);
     const bool hit = parts_.embree.Intersect(path.ray, key, &path.hit);
+    if (hit) parts_.surfaces.PrefetchTriangle(path.hit);
     (hit ? batch->met : escaped).Add(i);
   }
-  for (int i : escaped) {
-    AddEscaped(&batch->paths[i]);
-    StoreSkyFeatures(batch->paths[i], batch->samples[i]);
-  }
+  AddEscaped(escaped, batch);
 }
 
 // Mirrors that show the sky: white, tinted by them; the normal stays the last mirror's.
@@ -94,19 +92,38 @@ void PathWalker::StoreSkyFeatures(const PathState& path, PixelSample* sample) co
   for (int c = 0; c < 3; ++c) sample->albedo[c] = Clamp01(path.throughput[c]);
 }
 
-void PathWalker::AddEscaped(PathState* path) const {
+void PathWalker::AddEscaped(const List& escaped, Batch* batch) const {
+  for (int i : escaped) StoreSkyFeatures(batch->paths[i], batch->samples[i]);
   if (parts_.environment == nullptr) return;
-  float light_pdf;
-  const V3f radiance = parts_.lights.Escaped(path->view, path->ray.direction, &light_pdf);
-  light_pdf *= static_cast<float>(NumLightSamples(path->depth - 1));
-  const float weight = StrategyWeight(path->pdf, light_pdf, LightStrategy::kBsdfOnly);
-  path->radiance += path->throughput * radiance * weight;
+  for (int first = 0; first < escaped.size(); first += kFloat8Lanes) {
+    const int count = std::min(escaped.size() - first, kFloat8Lanes);
+    std::array<const LightView*, kFloat8Lanes> views;
+    SkyDirections sky;
+    for (int lane = 0; lane < kFloat8Lanes; ++lane) {
+      const PathState& path = batch->paths[escaped[first + std::min(lane, count - 1)]];
+      views[lane] = &path.view;
+      sky.direction.Set(lane, path.ray.direction);
+    }
+    parts_.lights.Escaped({views.data(), static_cast<size_t>(count)}, &sky);
+    for (int lane = 0; lane < count; ++lane) {
+      PathState& path = batch->paths[escaped[first + lane]];
+      const float light_pdf = sky.pdf[lane] * static_cast<float>(NumLightSamples(path.depth - 1));
+      const float weight = StrategyWeight(path.pdf, light_pdf, LightStrategy::kBsdfOnly);
+      path.radiance += path.throughput * sky.radiance.Get(lane) * weight;
+    }
+  }
 }
 
 // Reads the surfaces that were met; leaves in `met` those from which the path may go on.
 void PathWalker::Read(Batch* batch) const {
-  for (int i : batch->met) parts_.surfaces.PrefetchTriangle(batch->paths[i].hit);
   for (int i : batch->met) parts_.surfaces.PrefetchVertices(batch->paths[i].hit);
+  // While vertices are on their way.
+  for (int i : batch->met) {
+    PathState& path = batch->paths[i];
+    path.numbers = path.sampler.Get4x2D(
+        kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path.depth),
+        path.request->seeds);
+  }
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
     path.cone_width += path.cone_spread * path.hit.t;
@@ -119,12 +136,6 @@ void PathWalker::Read(Batch* batch) const {
   }
   batch->met = scattering;
   MakeBsdfs(batch);
-  for (int i : batch->met) {
-    PathState& path = batch->paths[i];
-    path.numbers = path.sampler.Get4x2D(
-        kFirstBounceGroup + kGroupsPerBounce * static_cast<uint32_t>(path.depth),
-        path.request->seeds);
-  }
 }
 
 // Albedo and normal of the first surface that is no mirror, seen through those before it; until it
@@ -181,7 +192,7 @@ void PathWalker::Illuminate(int depth, Batch* batch) const {
   if (parts_.lights.empty()) return;
   static_assert(kPathsMax <= LightSampler::kLooksMax);
   std::array<LightWeights, kPathsMax> weights;
-  std::array<LightLook, kPathsMax> looks;
+  LooksOfPaths looks;
   size_t num_looks = 0;
   for (int i : batch->met) {
     PathState& path = batch->paths[i];
@@ -194,28 +205,37 @@ void PathWalker::Illuminate(int depth, Batch* batch) const {
     if (round > 0) CastShadows(batch);
     batch->lit.Clear();
     List facing;
-    const LightLook* look = looks.data();
-    for (int i : batch->met) {
-      if (SampleLight(*(look++)->weights, round, &batch->paths[i])) facing.Add(i);
-    }
+    DrawLights(looks, round, batch, &facing);
     AddLights(depth, facing, batch);
     for (int i : batch->lit) AimShadow(&batch->paths[i]);
   }
 }
 
-bool PathWalker::SampleLight(const LightWeights& weights, int round, PathState* path) const {
-  const Surface& surface = *path->surface;
-  // The second sample's choice lies opposite the first's; its point takes the roulette's numbers,
-  // which the first bounce leaves unused.
-  float choice = path->numbers[kChoice].x;
-  if (round > 0) choice = choice < 0.5f ? choice + 0.5f : choice - 0.5f;
-  const V2f& point = path->numbers[round > 0 ? kRoulette : kLightPoint];
-  if (!parts_.lights.Sample(path->view, weights, choice, point, &path->light)) {
-    return false;
+// Chooses a light for each path that met a surface; `looks` are theirs. Leaves in `facing` those
+// that it may reach.
+void PathWalker::DrawLights(const LooksOfPaths& looks, int round, Batch* batch,
+                            List* facing) const {
+  std::array<LightDraw, kPathsMax> draws;
+  size_t num_draws = 0;
+  for (int i : batch->met) {
+    PathState& path = batch->paths[i];
+    // The second sample's choice lies opposite the first's; its point takes the roulette's numbers,
+    // which the first bounce leaves unused.
+    float choice = path.numbers[kChoice].x;
+    if (round > 0) choice = choice < 0.5f ? choice + 0.5f : choice - 0.5f;
+    const V2f& point = path.numbers[round > 0 ? kRoulette : kLightPoint];
+    draws[num_draws] = {&path.view, looks[num_draws].weights, choice, point, &path.light, false};
+    ++num_draws;
   }
-  // Above and below are the geometric surface's; the shading frame must agree (no light leaks).
-  const V3f& wi = path->light.wi;
-  return wi.dot(surface.geometric_normal) * wi.dot(surface.shading_normal) > 0;
+  parts_.lights.Sample({draws.data(), num_draws});
+  const LightDraw* draw = draws.data();
+  for (int i : batch->met) {
+    if (!(draw++)->lit) continue;
+    // Above and below are the geometric surface's; the shading frame must agree (no light leaks).
+    const Surface& surface = *batch->paths[i].surface;
+    const V3f& wi = batch->paths[i].light.wi;
+    if (wi.dot(surface.geometric_normal) * wi.dot(surface.shading_normal) > 0) facing->Add(i);
+  }
 }
 
 void PathWalker::AimShadow(PathState* path) const {
@@ -332,6 +352,7 @@ bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
 void PathWalker::Walk(std::span<const PathRequest> requests, std::span<const CameraHit> hits,
                       std::span<PixelSample> samples, int64_t* rays) const {
   Batch stems, batch;
+  for (const CameraHit& hit : hits) parts_.surfaces.PrefetchTriangle(hit.hit);
   for (int i = 0; i < static_cast<int>(hits.size()); ++i) {
     Start(requests[hits[i].request], hits[i], &stems.paths[i]);
     stems.samples[i] = &samples[hits[i].request];

@@ -45,7 +45,7 @@ class PathWalker {
   PixelSample Trace(const SobolSampler& sampler, int x, int y, int64_t* rays) const;
 
  private:
-  static constexpr int kPathsMax = 16;  // that walk together
+  static constexpr int kPathsMax = 32;  // that walk together
   struct PathState;
   struct Scattered;
   struct Batch;
@@ -67,14 +67,15 @@ class PathWalker {
   void SampleBsdfs(const Batch& batch, const NumbersOfPaths& numbers,
                    std::array<Scattered, kPathsMax>* scattered, List* scattering) const;
 
-  void AddEscaped(PathState* path) const;
+  void AddEscaped(const List& escaped, Batch* batch) const;
   void StoreFeatures(const PathState& path, const V3f& albedo, PixelSample* sample) const;
   void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
   void AddEmission(PathState* path) const;
   bool Arrive(PathState* path, PixelSample* sample) const;
   int NumBranches(int depth) const;
   int NumLightSamples(int depth) const;
-  bool SampleLight(const LightWeights& weights, int round, PathState* path) const;
+  using LooksOfPaths = std::array<LightLook, kPathsMax>;
+  void DrawLights(const LooksOfPaths& looks, int round, Batch* batch, List* facing) const;
   void AimShadow(PathState* path) const;
   bool IsBlind(const PathState& path) const;
   bool Continue(const PathState& from, const Scattered& scattered, PathState* path) const;

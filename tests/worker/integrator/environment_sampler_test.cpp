@@ -65,7 +65,7 @@ float Pdf(const EnvironmentSampler& sampler, const SkyView& view, const V3f& d) 
 // Seen in part, here and there not at all.
 SkyVisibility Curtains() {
   SkyVisibility visibility;
-  for (int i = 0; i < kSkyCells; ++i) visibility[i] = static_cast<uint8_t>(i % 5 * 60);
+  for (int i = 0; i < kSkyCells; ++i) visibility[i] = static_cast<float>(i % 5) * 0.24f;
   return visibility;
 }
 
@@ -97,9 +97,9 @@ TEST(EnvironmentSamplerTest, ViewsTotalIsTheIrradianceAboveTheHorizon) {
   const V3f up(0, 1, 0);
   EXPECT_NEAR(ViewOf(sampler, up).total, kPiFloat, 1e-4);
   SkyVisibility visibility;
-  visibility.fill(255);
+  visibility.fill(1);
   EXPECT_NEAR(ViewOf(sampler, up, false, &visibility).total, kPiFloat, 0.06f * kPiFloat);
-  visibility.fill(51);
+  visibility.fill(0.2f);
   EXPECT_NEAR(ViewOf(sampler, up, false, &visibility).total, 0.204 * kPiFloat, 0.02f * kPiFloat);
 }
 
@@ -108,7 +108,7 @@ TEST(EnvironmentSamplerTest, HiddenCellsAreSeldomChosen) {
   light.uniform = V3f(1);
   const EnvironmentSampler sampler(&light);
   SkyVisibility visibility = {};
-  visibility[kSkyColumns + 3] = 255;
+  visibility[kSkyColumns + 3] = 1;
   const FullView view = ViewOf(sampler, V3f(0, 1, 0), false, &visibility);
   int chosen = 0;
   for (int i = 0; i < 256; ++i) {

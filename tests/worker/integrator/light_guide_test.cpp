@@ -46,13 +46,13 @@ TEST(LightGuideTest, LearnsWhereTheWindowIs) {
   EXPECT_FALSE(region->open);
   const SkyVisibility& seen = region->sky;
   // Straight ahead lies the window, in parts of four cells; up and to the side there are walls.
-  int ahead = 0;
+  float ahead = 0;
   for (float y : {-0.01f, 0.01f}) {
     for (float z : {-0.01f, 0.01f}) ahead += seen[DirectionCell(V3f(1, y, z))];
   }
-  EXPECT_GT(ahead, 80);
-  EXPECT_LT(seen[DirectionCell(V3f(1, 1, 0.2f).normalized())], 30);
-  EXPECT_LT(seen[DirectionCell(V3f(0.7f, 0.05f, 0.7f).normalized())], 30);
+  EXPECT_GT(ahead, 0.3f);
+  EXPECT_LT(seen[DirectionCell(V3f(1, 1, 0.2f).normalized())], 0.12f);
+  EXPECT_LT(seen[DirectionCell(V3f(0.7f, 0.05f, 0.7f).normalized())], 0.12f);
 }
 
 TEST(LightGuideTest, AnOpenSceneNeedsNoGuide) {
