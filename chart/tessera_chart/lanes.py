@@ -14,7 +14,6 @@ def run(work: Iterable[Callable[[], None]], num_lanes: int) -> None:
     and leave the rest of the work undone.
     """
     waiting = collections.deque(work)
-    programs.resume()
     if num_lanes == 1:
         for piece in waiting:
             piece()
@@ -35,17 +34,31 @@ def run(work: Iterable[Callable[[], None]], num_lanes: int) -> None:
                 errors.append(error)
                 programs.stop()
 
-    threads = [threading.Thread(target=lane) for _ in range(num_lanes)]
-    for thread in threads:
-        thread.start()
+    threads: list[threading.Thread] = []
     try:
+        for _ in range(num_lanes):
+            threads.append(threading.Thread(target=lane))
+            threads[-1].start()
         for thread in threads:
             thread.join()
     except KeyboardInterrupt:
         waiting.clear()
-        programs.stop()
-        for thread in threads:
-            thread.join()
+        _end(threads)
         raise
+    finally:
+        programs.resume()
     if errors:
         raise errors[0]
+
+
+def _end(threads: list[threading.Thread]) -> None:
+    """Ends the threads' children and waits for them, however often Ctrl-C comes."""
+    while True:
+        try:
+            programs.stop()
+            for thread in threads:
+                if thread.is_alive():
+                    thread.join()
+            return
+        except KeyboardInterrupt:
+            continue

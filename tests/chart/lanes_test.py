@@ -33,7 +33,8 @@ class Lanes(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             # The second to come sends Ctrl-C, and both would stay for ever.
             script = pathlib.Path(folder) / "stay"
-            script.write_text(f"#!/bin/sh\nmkdir {folder}/first 2>/dev/null || kill -INT $PPID\n"
+            script.write_text(f"#!/bin/sh\nmkdir {folder}/first 2>/dev/null || "
+                              f"{{ mkdir {folder}/second 2>/dev/null && kill -INT $PPID; }}\n"
                               "exec sleep 1000\n")
             script.chmod(0o755)
             with self.assertRaises(KeyboardInterrupt):
