@@ -19,31 +19,37 @@ def run(work: Iterable[Callable[[], None]], num_lanes: int) -> None:
             piece()
         return
     errors: list[BaseException] = []
+    # Not Thread.join: interrupted by Ctrl-C it takes a running thread for one that has ended.
+    ended = [threading.Event() for _ in range(num_lanes)]
+    started: list[threading.Event] = []
 
-    def lane() -> None:
-        while not errors:
-            try:
-                piece = waiting.popleft()
-            except IndexError:
-                return
-            try:
+    def next_piece() -> Callable[[], None] | None:
+        try:
+            return waiting.popleft()
+        except IndexError:
+            return None
+
+    def lane(end: threading.Event) -> None:
+        try:
+            while not errors and (piece := next_piece()):
                 piece()
-            except programs.Stopped:
-                return
-            except BaseException as error:
-                errors.append(error)
-                programs.stop()
+        except programs.Stopped:
+            pass
+        except BaseException as error:
+            errors.append(error)
+            programs.stop()
+        finally:
+            end.set()
 
-    threads: list[threading.Thread] = []
     try:
-        for _ in range(num_lanes):
-            threads.append(threading.Thread(target=lane))
-            threads[-1].start()
-        for thread in threads:
-            thread.join()
+        for end in ended:
+            started.append(end)
+            threading.Thread(target=lane, args=(end,)).start()
+        for end in ended:
+            end.wait()
     except KeyboardInterrupt:
         waiting.clear()
-        _end(threads)
+        _stop_and_wait(started)
         raise
     finally:
         programs.resume()
@@ -51,14 +57,13 @@ def run(work: Iterable[Callable[[], None]], num_lanes: int) -> None:
         raise errors[0]
 
 
-def _end(threads: list[threading.Thread]) -> None:
-    """Ends the threads' children and waits for them, however often Ctrl-C comes."""
+def _stop_and_wait(ended: list[threading.Event]) -> None:
+    """Ends the lanes' children and waits for the lanes, however often Ctrl-C comes."""
     while True:
         try:
             programs.stop()
-            for thread in threads:
-                if thread.is_alive():
-                    thread.join()
+            for end in ended:
+                end.wait()
             return
         except KeyboardInterrupt:
             continue
