@@ -5,6 +5,7 @@
 #include "client/cli/command_line.h"
 #include "embedded/embedded_farm.h"
 #include "embedded/scene_description.h"
+#include "worker/integrator/arithmetic.h"
 #include "worker/integrator/path_tracer.h"
 
 int main(int argc, char** argv) {
@@ -14,5 +15,6 @@ int main(int argc, char** argv) {
   return tessera::RunCommandLine(argc, argv,
                                  {.start_local_farm = tessera::StartEmbeddedFarm,
                                   .describe_scene = tessera::DescribeScene,
-                                  .isa_classes = tessera::SupportedIsaClasses()});
+                                  .isa_classes = tessera::SupportedIsaClasses(),
+                                  .arithmetic_of = tessera::ArithmeticOf});
 }

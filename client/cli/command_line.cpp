@@ -96,6 +96,9 @@ void AddSceneFlags(CLI::App* command, SceneFlags* flags) {
   add("Sampling", "--isa", &flags->isa,
       absl::StrCat("Instruction set that decides the bits: ", absl::StrJoin(kIsaClasses, ", "),
                    " (", std::string(kIsaClasses.front()), ")"));
+  add("Sampling", "--arithmetic", &flags->arithmetic,
+      "Processor arithmetic that decides the last bits, as 'tessera workers' shows it: only such "
+      "workers may render; any = not that of the picture to --replay (any)");
   add("Light", "--env", &flags->env, "Environment map, latitude-longitude .hdr or .exr");
   add("Light", "--env-rotate", &flags->env_rotate, "Degrees by which it is turned about y");
   add("Light", "--sky", &flags->sky, "R,G,B: uniform sky radiance");

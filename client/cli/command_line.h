@@ -39,6 +39,8 @@ struct CommandLineParts {
   // What a scene file needs, for `tessera info`. Errors: the file is no glTF at all.
   std::function<absl::StatusOr<SceneDescription>(const std::string& path)> describe_scene;
   std::vector<std::string> isa_classes;  // that this machine runs
+  // The fingerprint of this machine's arithmetic in one of them (Hello.arithmetic).
+  std::function<std::string(const std::string& isa_class)> arithmetic_of;
 };
 
 // Runs one command and returns its exit code (exit_code.h). Errors go to stderr as one line.

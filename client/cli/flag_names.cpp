@@ -20,6 +20,7 @@ std::string WithFlagNames(std::string text) {
                 {"settings.feature_spp", "--feature-spp"},
                 {"settings.seed", "--seed"},
                 {"settings.isa", "--isa"},
+                {"settings.arithmetic", "--arithmetic"},
                 {"settings.transparent", "--transparent"},
                 {"settings.target_error", "--target-error"},
                 {"settings.max_time", "--max-time"},

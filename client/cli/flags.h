@@ -39,6 +39,7 @@ struct SceneFlags {
   std::string feature_spp;
   std::string seed;
   std::string isa;
+  std::string arithmetic;
   std::string env;
   std::string env_rotate;
   std::string sky;

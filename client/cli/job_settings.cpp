@@ -174,6 +174,15 @@ void ReadServing(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* s
     }
     settings->set_isa(flags.isa);
   }
+  if (flags.arithmetic == kAnyArithmetic) {
+    settings->clear_arithmetic();
+  } else if (!flags.arithmetic.empty()) {
+    if (!IsArithmetic(flags.arithmetic)) {
+      reader->Fail(absl::StrCat("--arithmetic ", flags.arithmetic, ": must be 16 hexadecimal "
+                                "digits, as 'tessera workers' shows them, or any"));
+    }
+    settings->set_arithmetic(flags.arithmetic);
+  }
   if (flags.quality == "preview") {
     settings->set_quality(v1::QUALITY_PREVIEW);
   } else if (flags.quality == "final") {
@@ -290,6 +299,7 @@ absl::Status CheckContinues(const std::string& flag, const v1::JobSettings& film
     differences.push_back(absl::StrCat("--feature-spp (the film's is ", film.feature_spp(), ")"));
   }
   if (film.isa() != job.isa()) differences.push_back("--isa");
+  if (film.arithmetic() != job.arithmetic()) differences.push_back("--arithmetic");
   if (film.transparent() != job.transparent()) differences.push_back("--transparent");
   if (differences.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(

@@ -1,5 +1,7 @@
 #include "client/cli/job_text.h"
 
+#include <algorithm>
+
 #include <google/protobuf/util/time_util.h>
 #include <nlohmann/json.hpp>
 
@@ -22,6 +24,21 @@ std::string Word(absl::string_view enum_name, absl::string_view prefix) {
 
 std::string TimeText(bool present, const google::protobuf::Timestamp& time) {
   return present ? TimeUtil::ToString(time) : std::string();
+}
+
+// Classes that share their arithmetic by one name: "x86-64-v4: 12.., x86-64-v3, x86-64-v2: 34..".
+std::string ArithmeticText(const v1::Worker& worker) {
+  std::string text;
+  const int classes = std::min(worker.isa_classes_size(), worker.arithmetic_size());
+  for (int i = 0; i < classes; ++i) {
+    absl::StrAppend(&text, worker.isa_classes(i));
+    const bool is_last = i + 1 == classes;
+    if (is_last || worker.arithmetic(i) != worker.arithmetic(i + 1)) {
+      absl::StrAppend(&text, ": ", worker.arithmetic(i));
+    }
+    if (!is_last) absl::StrAppend(&text, ", ");
+  }
+  return text;
 }
 
 int Percent(const v1::JobProgress& progress) {
@@ -63,6 +80,8 @@ ordered_json JobJson(const v1::Job& job) {
   json["rel_rmse"] = progress.estimated_error();
   json["workers"] = progress.workers();
   json["priority"] = job.settings().priority();
+  json["isa"] = job.settings().isa();
+  json["arithmetic"] = job.arithmetic();
   json["digest"] = DigestText(job);
   json["create_time"] = TimeText(job.has_create_time(), job.create_time());
   json["start_time"] = TimeText(job.has_start_time(), job.start_time());
@@ -86,6 +105,10 @@ ordered_json WorkerJson(const v1::Worker& worker) {
   json["samples"] = worker.samples();
   json["samples_per_second"] = worker.samples_per_second();
   json["draining"] = worker.draining();
+  json["arithmetic"] = ordered_json::object();  // by ISA class
+  for (int i = 0; i < std::min(worker.isa_classes_size(), worker.arithmetic_size()); ++i) {
+    json["arithmetic"][worker.isa_classes(i)] = worker.arithmetic(i);
+  }
   return json;
 }
 
@@ -104,14 +127,15 @@ std::string JobRow(const v1::Job& job) {
 }
 
 std::string WorkerRowHeading() {
-  return absl::StrFormat("%-12s %-24s %8s %7s %7s %14s  %s", "WORKER", "HOST", "PROCESS",
-                         "THREADS", "LEASES", "SAMPLES/S", "STATE");
+  return absl::StrFormat("%-12s %-24s %8s %7s %7s %14s  %-8s  %s", "WORKER", "HOST", "PROCESS",
+                         "THREADS", "LEASES", "SAMPLES/S", "STATE", "ARITHMETIC");
 }
 
 std::string WorkerRow(const v1::Worker& worker) {
-  return absl::StrFormat("%-12s %-24s %8d %7d %7d %14.0f  %s", worker.name(), worker.host(),
+  return absl::StrFormat("%-12s %-24s %8d %7d %7d %14.0f  %-8s  %s", worker.name(), worker.host(),
                          worker.process_id(), worker.threads(), worker.leases(),
-                         worker.samples_per_second(), worker.draining() ? "draining" : "serving");
+                         worker.samples_per_second(), worker.draining() ? "draining" : "serving",
+                         ArithmeticText(worker));
 }
 
 std::string JobDetails(const v1::Job& job) {
@@ -144,6 +168,8 @@ std::string JobDetails(const v1::Job& job) {
   add("created", TimeText(job.has_create_time(), job.create_time()));
   add("started", TimeText(job.has_start_time(), job.start_time()));
   add("ended", TimeText(job.has_end_time(), job.end_time()));
+  add("isa", job.settings().isa());
+  add("arithmetic", job.arithmetic());
   add("digest", DigestText(job));
   return text;
 }

@@ -42,7 +42,10 @@ absl::Status CheckWritable(const std::string& path) {
   return file->Discard();
 }
 
-std::string SettingsJson(const v1::JobSettings& settings) {
+// With the arithmetic that has rendered it: whoever repeats or continues it needs the same.
+std::string SettingsJson(const v1::Job& job) {
+  v1::JobSettings settings = job.settings();
+  settings.set_arithmetic(job.arithmetic());
   std::string json;
   TESSERA_CHECK(google::protobuf::util::MessageToJsonString(settings, &json).ok());
   return json;
@@ -52,7 +55,7 @@ absl::StatusOr<FilmFile> FetchFilm(FarmClient& client, const v1::Job& job) {
   absl::StatusOr<std::vector<TileStatistics>> nodes = client.GetFilm(job.name());
   if (!nodes.ok()) return nodes.status();
   FilmFile film;
-  film.settings = SettingsJson(job.settings());
+  film.settings = SettingsJson(job);
   film.feature_end = FeatureEndOf(job.settings().feature_spp());
   film.nodes = *std::move(nodes);
   return film;
@@ -186,7 +189,7 @@ Metadata JobMetadata(const v1::Job& job, double spp) {
       metadata[absl::StrCat("material", i + 1)] = job.scene().materials(i);
     }
   }
-  metadata["settings"] = SettingsJson(job.settings());
+  metadata["settings"] = SettingsJson(job);
   return metadata;
 }
 

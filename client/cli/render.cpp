@@ -41,7 +41,9 @@ class RenderCommand {
     absl::StatusOr<SceneSubmission> submission = PrepareSubmission(flags_.scene);
     if (!submission.ok()) return submission.status();
     replay_digest_ = submission->replay_digest;
+    replay_arithmetic_ = submission->replay_arithmetic;
     if (absl::Status isa = SettleIsa(&submission->settings); !isa.ok()) return isa;
+    if (absl::Status own = SettleArithmetic(&submission->settings); !own.ok()) return own;
     const absl::Status connected = ConnectOrStartFarm();
     if (!connected.ok()) return connected;
     absl::StatusOr<v1::Job> job = Submit(*client_, *submission, &progress_, interrupt_.token());
@@ -80,6 +82,34 @@ class RenderCommand {
     return absl::InvalidArgumentError(absl::StrCat(
         "--isa ", wanted, ": this machine cannot run it, only ", absl::StrJoin(here, ", "),
         ": choose one of these, or render on a farm with --server"));
+  }
+
+  // Likewise of the arithmetic: a picture of other processors is replayed here, and it is said that
+  // its bits may differ; samples of theirs are not added to, nor is one that was asked for ignored.
+  absl::Status SettleArithmetic(v1::JobSettings* settings) const {
+    const std::string wanted = settings->arithmetic();
+    if (!flags_.connect.server.empty() || wanted.empty()) return absl::OkStatus();
+    const std::string isa =
+        settings->isa().empty() ? std::string(kIsaClasses.front()) : settings->isa();
+    const std::string here = parts_.arithmetic_of(isa);
+    if (here == wanted) return absl::OkStatus();
+    if (settings->has_replay() && flags_.scene.arithmetic.empty()) {
+      settings->clear_arithmetic();
+      std::fprintf(stderr,
+                   "tessera: the picture was rendered in the processor arithmetic %s, this machine "
+                   "computes in %s: the replay has the same samples, but their last bits may "
+                   "differ; for the same digest replay it on a processor like the first, or on a "
+                   "farm that has one (--server)\n",
+                   wanted.c_str(), here.c_str());
+      return absl::OkStatus();
+    }
+    return absl::InvalidArgumentError(absl::StrCat(
+        flags_.scene.arithmetic.empty() ? "--continue: the film's samples are of the processor "
+                                          "arithmetic "
+                                        : "--arithmetic ",
+        wanted, ": this machine computes in ", here,
+        ", and one film has one: render on a processor like that one, or on a farm that has one "
+        "(--server)"));
   }
 
   absl::Status ConnectOrStartFarm() {
@@ -146,8 +176,13 @@ class RenderCommand {
   }
 
   // Only another scene behind the same name, a damaged file or a broken machine can fail this.
-  absl::Status CheckReplayed(const v1::Job& job) const {
+  absl::Status CheckReplayed(const v1::Job& job) {
     if (replay_digest_.empty() || DigestText(job) == replay_digest_) return absl::OkStatus();
+    if (replay_arithmetic_ != job.arithmetic()) {
+      progress_.Note("the replay's digest is not the picture's: it was rendered in another "
+                     "processor arithmetic");
+      return absl::OkStatus();
+    }
     return absl::DataLossError(
         absl::StrCat("--replay ", flags_.scene.replay, ": its digest is ",
                      replay_digest_.substr(0, 16), ", the replay's is ",
@@ -217,6 +252,7 @@ class RenderCommand {
   std::unique_ptr<FarmClient> client_;
   std::string name_;  // of the job
   std::string replay_digest_;  // that --replay must give; empty = any
+  std::string replay_arithmetic_;  // of the picture that is replayed; empty = unknown
   bool noted_scene_ = false;
   bool noted_waiting_ = false;
 };

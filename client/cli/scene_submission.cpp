@@ -95,7 +95,10 @@ absl::StatusOr<SceneSubmission> PrepareReplay(const SceneFlags& flags) {
   if (!status.ok()) return status;
   absl::StatusOr<SceneSubmission> submission = CollectFiles(flags, *settings);
   if (!submission.ok()) return submission;
-  status = CheckContinues("--replay", picture->settings, submission->settings);
+  v1::JobSettings film = picture->settings;
+  submission->replay_arithmetic = film.arithmetic();
+  film.set_arithmetic(submission->settings.arithmetic());  // another one is a choice, not a slip
+  status = CheckContinues("--replay", film, submission->settings);
   if (!status.ok()) return status;
   submission->replay_digest = picture->digest;
   return submission;

@@ -19,6 +19,7 @@ struct SceneSubmission {
   std::string continue_film_sha256;  // raw bytes; empty without
   // --replay: the digest that the replay must have, hexadecimal; empty if none is recorded.
   std::string replay_digest;
+  std::string replay_arithmetic;  // --replay: that of the picture; empty if none is recorded
 };
 
 // Reads and checks everything that can be checked without a server.

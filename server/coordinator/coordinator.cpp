@@ -97,6 +97,8 @@ std::vector<v1::Worker> Coordinator::ListWorkers(Instant now) const {
     }
     out.set_draining(worker->draining);
     out.set_crashes(worker->hello.crashes_size());
+    *out.mutable_isa_classes() = worker->hello.isa_classes();
+    *out.mutable_arithmetic() = worker->hello.arithmetic();
   }
   return workers;
 }

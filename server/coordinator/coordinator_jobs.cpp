@@ -243,6 +243,7 @@ bool Coordinator::StartOver(Job& job) {
   job.record.mutable_progress()->Clear();
   job.record.mutable_progress()->set_asset_bytes(asset_bytes);
   job.record.clear_scene();
+  job.record.clear_arithmetic();
   job.record.set_version(config_.version);
   return true;
 }

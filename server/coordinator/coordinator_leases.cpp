@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "absl/strings/str_cat.h"
+#include "core/base/isa_classes.h"
 #include "server/coordinator/coordinator.h"
 #include "server/coordinator/coordinator_state.h"
 #include "server/coordinator/limits.h"
@@ -21,10 +22,13 @@ absl::Status CheckHello(const v1::Hello& hello, const std::string& version) {
         version, ": install the same version on both"));
   }
   if (hello.threads() < 1 || hello.threads() > kWorkerThreadsMax || hello.memory_bytes() < 0 ||
-      hello.host().size() > kHostBytesMax || hello.isa_classes_size() > 64) {
+      hello.host().size() > kHostBytesMax || hello.isa_classes_size() > 64 ||
+      hello.arithmetic_size() != hello.isa_classes_size() ||
+      !std::ranges::all_of(hello.arithmetic(), IsArithmetic)) {
     return absl::InvalidArgumentError(
         absl::StrCat("hello: threads must be 1 to ", kWorkerThreadsMax,
-                     ", memory_bytes at least 0, host at most ", kHostBytesMax, " bytes long"));
+                     ", memory_bytes at least 0, host at most ", kHostBytesMax,
+                     " bytes long, and each ISA class have an arithmetic of 16 digits"));
   }
   const bool has_too_many_units = std::ranges::any_of(hello.crashes(), [](const auto& crash) {
     return crash.units_size() > kCrashUnitsMax;
@@ -182,8 +186,8 @@ void Coordinator::On(DrainEvent& event) {
 bool Coordinator::CanServe(const Worker& worker, const Job& job) const {
   if (worker.draining || job.LacksMemory(worker.hello)) return false;
   if (worker.RetriesLater(job.id, now_.monotonic_ms)) return false;
-  const auto& classes = worker.hello.isa_classes();
-  return std::ranges::find(classes, job.record.settings().isa()) != classes.end();
+  const std::string arithmetic = worker.ArithmeticOf(job.record.settings().isa());
+  return !arithmetic.empty() && job.Admits(arithmetic);
 }
 
 // Whether even the heartbeats stay away: what it has let expire is not for it again.
@@ -253,6 +257,11 @@ bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
 }
 
 void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
+  const std::string arithmetic = worker.ArithmeticOf(job.record.settings().isa());
+  if (job.record.arithmetic() != arithmetic) {
+    job.record.set_arithmetic(arithmetic);
+    Save(job, false);  // before any of its samples is on disk
+  }
   const LeaseId id = next_lease_++;
   ++totals_.leases_granted;
   const PixelRect window = job.grid.WindowOf(unit.tile);
@@ -389,17 +398,19 @@ std::string Coordinator::WaitingReason(const Job& job) const {
 // Stops at the first worker that could: of many jobs that wait, most wait for their turn only.
 std::string Coordinator::ReasonOfWorkers(const Job& job) const {
   const std::string& isa = job.record.settings().isa();
-  int small = 0, failing = 0, other_isa = 0;
+  int small = 0, failing = 0, other_isa = 0, other_arithmetic = 0;
   bool able = false;
   int64_t memory_max = 0;
   for (const auto& [session, worker] : workers_) {
-    const auto& classes = worker->hello.isa_classes();
+    const std::string arithmetic = worker->ArithmeticOf(isa);
     if (worker->draining) continue;
     if (job.LacksMemory(worker->hello)) {
       ++small;
       memory_max = std::max(memory_max, worker->hello.memory_bytes());
-    } else if (std::ranges::find(classes, isa) == classes.end()) {
+    } else if (arithmetic.empty()) {
       ++other_isa;
+    } else if (!job.Admits(arithmetic)) {
+      ++other_arithmetic;
     } else if (worker->RetriesLater(job.id, now_.monotonic_ms)) {
       ++failing;
     } else {
@@ -421,6 +432,12 @@ std::string Coordinator::ReasonOfWorkers(const Job& job) const {
                         " connected workers has (at most ", memory_max / kMemoryUnit,
                         " MiB): start a worker with more --memory",
                         job.last_decline.empty() ? "" : "; ", job.last_decline);
+  }
+  if (other_arithmetic > 0) {
+    return absl::StrCat("no connected worker computes in the arithmetic of its samples, ",
+                        job.PinnedArithmetic(), ", but ", other_arithmetic, " in another: start "
+                        "one on a processor like those that rendered them, or submit it anew (a "
+                        "replay with --arithmetic any, for bits that may differ)");
   }
   if (other_isa > 0) {
     return absl::StrCat("no connected worker runs ", isa, ": start one that does, or submit with "

@@ -72,6 +72,13 @@ void Coordinator::On(DeltaEvent& event) {
   if (job == nullptr) return;
   result_.status = CheckDelta(*job, event);
   if (absl::IsInvalidArgument(result_.status)) return CloseWorker(event.session, result_.status);
+  const std::string arithmetic = worker->ArithmeticOf(job->record.settings().isa());
+  if (result_.status.ok() && arithmetic != job->record.arithmetic()) {
+    // It lost its lease while the job had no samples, and another one has begun.
+    result_.status = absl::FailedPreconditionError(
+        absl::StrCat("delta of ", event.delta.job(), ": its arithmetic is ", arithmetic,
+                     ", the job's ", job->record.arithmetic()));
+  }
 
   const auto lease = leases_.find(event.delta.lease_id());
   const bool was_leased = lease != leases_.end() && lease->second.session == event.session;

@@ -92,6 +92,18 @@ struct Coordinator::Job {
   bool IsOpen() const {
     return record.state() == v1::JOB_STATE_QUEUED || record.state() == v1::JOB_STATE_RUNNING;
   }
+  // The only arithmetic that it may be rendered in: what was asked for, or that of the samples that
+  // it has or that are on their way; empty = any.
+  std::string PinnedArithmetic() const {
+    if (!record.settings().arithmetic().empty()) return record.settings().arithmetic();
+    const bool has_samples =
+        film->samples() > 0 || !leases_of_unit.empty() || !audits.empty();
+    return has_samples ? record.arithmetic() : std::string();
+  }
+  bool Admits(const std::string& arithmetic) const {
+    const std::string pinned = PinnedArithmetic();
+    return pinned.empty() || pinned == arithmetic;
+  }
   bool LacksMemory(const v1::Hello& hello) const {
     return hello.memory_bytes() <= memory_short_bytes;
   }
@@ -116,6 +128,13 @@ struct Coordinator::Worker {
   bool RetriesLater(JobId job, int64_t now_ms) const {
     const auto retry = retry_assets_ms.find(job);
     return retry != retry_assets_ms.end() && now_ms < retry->second;
+  }
+  // Of an ISA class; empty if it does not run that.
+  std::string ArithmeticOf(const std::string& isa) const {
+    const auto& classes = hello.isa_classes();
+    const auto found = std::ranges::find(classes, isa);
+    if (found == classes.end()) return std::string();
+    return hello.arithmetic(static_cast<int>(found - classes.begin()));
   }
   size_t leases_max() const {
     const auto threads = static_cast<size_t>(hello.threads());

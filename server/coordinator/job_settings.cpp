@@ -210,6 +210,11 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
     return Invalid("settings.isa '", settings.isa().substr(0, 64), "' is unknown: give one of ",
                    absl::StrJoin(IsaClasses(), ", "));
   }
+  if (!settings.arithmetic().empty() && !IsArithmetic(settings.arithmetic())) {
+    return Invalid("settings.arithmetic '", settings.arithmetic().substr(0, 64),
+                   "' is none: give 16 hexadecimal digits, as 'tessera workers' shows them, or "
+                   "nothing to take any");
+  }
   if (std::ranges::find(defaults.denoisers, settings.denoiser()) == defaults.denoisers.end()) {
     return Invalid("settings.denoiser '", settings.denoiser().substr(0, 64),
                    "' is unknown: give one of ", absl::StrJoin(defaults.denoisers, ", "));

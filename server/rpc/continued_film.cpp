@@ -70,6 +70,7 @@ absl::Status CheckSameSamples(const v1::JobSettings& film, const v1::JobSettings
   check(film.max_depth() == job.max_depth(), "max_depth");
   check(film.seed() == job.seed(), "seed");
   check(film.isa() == job.isa(), "isa");
+  check(film.arithmetic() == job.arithmetic(), "arithmetic");
   check(film.feature_spp() == job.feature_spp(), "feature_spp");
   if (differences.empty()) return absl::OkStatus();
   return absl::InvalidArgumentError(absl::StrCat(

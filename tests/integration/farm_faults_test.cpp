@@ -113,6 +113,7 @@ class RogueWorker {
     message.mutable_hello()->set_memory_bytes(int64_t{1} << 30);
     message.mutable_hello()->set_version(kVersion);
     message.mutable_hello()->add_isa_classes("x86-64-v3");
+    message.mutable_hello()->add_arithmetic("00000000000000a1");
     v1::CoordinatorMessage answer;
     return stream_->Write(message) && stream_->Read(&answer) && answer.has_welcome();
   }

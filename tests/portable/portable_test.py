@@ -105,12 +105,40 @@ class PortableTest(unittest.TestCase):
 
     @unittest.skipUnless(EMULATOR, "no qemu-x86_64 (package qemu-user)")
     def test_an_old_processor_renders_and_says_in_which_class(self):
-        # Not its bits: the emulator's approximate reciprocals (RCPPS, in Embree) are its own.
+        # Not the bits of this machine: the emulator's approximate reciprocals are its own.
         done = run([EMULATOR, *OLD_PROCESSOR, LEVELS["x86-64-v2"], "render",
                     SCENES / "cornell.glb", "-o", self.folder / "old.exr", *LEAST_SETTINGS])
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertIn("rendering with --isa x86-64-v2", done.stderr)
         self.assertTrue((self.folder / "old.exr").is_file())
+
+    def render_json(self, picture, settings, runner=()):
+        """What the v3 copy prints of a small render in class v3, and its warnings."""
+        done = run([*runner, LEVELS["x86-64-v3"], "render", SCENES / "cornell.glb", "-o", picture,
+                    "--layers", "all", "--json", *settings])
+        self.assertEqual(done.returncode, 0, done.stderr)
+        return json.loads(done.stdout), done.stderr
+
+    @unittest.skipUnless(EMULATOR, "no qemu-x86_64 (package qemu-user)")
+    def test_processors_of_one_arithmetic_make_the_same_bits(self):
+        # Left alone, Embree takes narrow kernels, with other bits, on the second of these.
+        made = [self.render_json(self.folder / "emulated.exr", LEAST_SETTINGS,
+                                 [EMULATOR, "-cpu", processor])[0]
+                for processor in ["Haswell-v4", "Skylake-Server-v1"]]
+        self.assertEqual(made[0]["arithmetic"], made[1]["arithmetic"])
+        self.assertEqual(made[0]["digest"], made[1]["digest"])
+
+    @unittest.skipUnless(EMULATOR, "no qemu-x86_64 (package qemu-user)")
+    @unittest.skipUnless(here_runs("x86-64-v3"), "this processor lacks AVX2")
+    def test_a_replay_in_another_arithmetic_says_so(self):
+        first, _ = self.render_json(self.folder / "first.exr", LEAST_SETTINGS)
+        again, warnings = self.render_json(
+            self.folder / "again.exr", ["--replay", self.folder / "first.exr", "--threads", "1"],
+            [EMULATOR, "-cpu", "Haswell-v4"])
+        self.assertNotEqual(first["arithmetic"], again["arithmetic"])
+        self.assertNotEqual(first["digest"], again["digest"])
+        self.assertIn(first["arithmetic"], warnings)
+        self.assertIn("replay it on a processor like the first", warnings)
 
     @unittest.skipUnless(EMULATOR, "no qemu-x86_64 (package qemu-user)")
     def test_a_copy_says_what_it_needs_instead_of_dying(self):

@@ -80,11 +80,13 @@ TEST(CheckSameSamples, NamesWhatDiffers) {
   job.set_seed(9);
   job.set_max_depth(2);
   job.set_feature_spp(0);
+  job.set_arithmetic("00000000000000b2");
   const absl::Status status = CheckSameSamples(film, job);
   EXPECT_TRUE(absl::IsInvalidArgument(status));
   EXPECT_NE(status.message().find("seed"), absl::string_view::npos);
   EXPECT_NE(status.message().find("max_depth"), absl::string_view::npos);
   EXPECT_NE(status.message().find("feature_spp"), absl::string_view::npos);
+  EXPECT_NE(status.message().find("arithmetic"), absl::string_view::npos);
 }
 
 }  // namespace

@@ -68,6 +68,7 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
       {"max_time", [](auto* s) { s->mutable_max_time()->set_seconds(-1); }},
       {"denoiser", [](auto* s) { s->set_denoiser("magic"); }},
       {"isa", [](auto* s) { s->set_isa("armv8"); }},
+      {"arithmetic", [](auto* s) { s->set_arithmetic("armv8"); }},
       {"tile_size", [](auto* s) { s->set_tile_size(4096); }},
       {"tile_size", [](auto* s) { s->set_tile_size(-1); }},
       {"scene_name", [](auto* s) { s->set_scene_name("other.glb"); }},

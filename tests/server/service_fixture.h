@@ -30,6 +30,7 @@ class SyntheticWorker {
     message.mutable_hello()->set_threads(2);
     message.mutable_hello()->set_version(kVersion);
     message.mutable_hello()->add_isa_classes("x86-64-v3");
+    message.mutable_hello()->add_arithmetic("00000000000000a1");
     stream_->Write(message);
     thread_ = std::thread([this] { Run(); });
   }

@@ -154,6 +154,7 @@ TEST_F(ServiceTest, BadRequestsNameTheFieldAndHarmNothing) {
   message.mutable_hello()->set_threads(1);
   message.mutable_hello()->set_version(kVersion);
   message.mutable_hello()->add_isa_classes("x86-64-v3");
+  message.mutable_hello()->add_arithmetic("00000000000000a1");
   stream->Write(message);
   v1::CoordinatorMessage down;
   while (stream->Read(&down) && !down.has_lease()) {

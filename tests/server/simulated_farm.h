@@ -14,6 +14,9 @@
 
 namespace tessera {
 
+inline constexpr char kArithmetic[] = "00000000000000a1";  // of workers that say no other
+inline constexpr char kOtherArithmetic[] = "00000000000000b2";
+
 inline v1::JobSettings SmallSettings(int64_t spp = 16) {
   v1::JobSettings settings;
   settings.set_scene_name("scene.glb");
@@ -87,6 +90,7 @@ class SimulatedFarm {
     hello.set_memory_bytes(int64_t{1} << 30);
     hello.set_version("1.2.3");
     hello.add_isa_classes("x86-64-v3");
+    hello.add_arithmetic(kArithmetic);
     return hello;
   }
   SessionId Connect(int threads = 2, const std::string& host = "",

@@ -169,7 +169,7 @@ void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
       return Fail(absl::StrCat(record.name(), " is in state ", v1::JobState_Name(record.state()),
                                " at the end: ", record.error(), record.waiting()));
   }
-  if (record.digest() != ReferenceDigest(s, counts)) {
+  if (record.digest() != ReferenceDigest(s, counts, record.arithmetic())) {
     Fail(absl::StrCat(record.name(), ": the digest is not that of one process: ",
                       record.ShortDebugString()));
   }

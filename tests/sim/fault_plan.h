@@ -21,6 +21,9 @@ struct NetworkPlan {
   double call_loss = 0;  // of a client's request or of its answer
 };
 
+inline constexpr char kSimArithmetic[] = "00000000000000a1";
+inline constexpr char kOtherSimArithmetic[] = "00000000000000b2";
+
 struct WorkerPlan {
   int threads = 1;
   double samples_per_ms = 1;  // of one thread
@@ -28,6 +31,7 @@ struct WorkerPlan {
   int64_t start_us = 0;
   double failed_fetch = 0;  // chance of a scene's files not to come
   double lies = 0;          // chance of a delta to be of other samples than it says
+  const char* arithmetic = kSimArithmetic;  // decides the bits of what it renders
 };
 
 enum class FaultKind {

@@ -8,8 +8,18 @@
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
 #include "tests/server/synthetic_tile.h"
+#include "tests/sim/fault_plan.h"
 
 namespace tessera {
+
+namespace {
+
+// Processors of another arithmetic draw other bits.
+uint64_t SeedOf(const v1::JobSettings& settings, const std::string& arithmetic) {
+  return settings.seed() + (arithmetic == kSimArithmetic ? 0 : 2000000);
+}
+
+}  // namespace
 
 v1::AssetRef SimAsset() {
   Sha256 hash;
@@ -21,8 +31,9 @@ v1::AssetRef SimAsset() {
   return asset;
 }
 
-v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease, bool is_lie) {
-  const uint64_t seed = settings.seed() + (is_lie ? 1000000 : 0);
+v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
+                        const std::string& arithmetic, bool is_lie) {
+  const uint64_t seed = SeedOf(settings, arithmetic) + (is_lie ? 1000000 : 0);
   const PixelRect window = RectOf(lease.window());
   const SampleRange range{lease.sample_begin(), lease.sample_end()};
   const int64_t feature_end = FeatureEndOf(settings.feature_spp());
@@ -60,16 +71,18 @@ v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
   return delta;
 }
 
-std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts) {
+std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts,
+                            const std::string& arithmetic) {
   using Key = std::tuple<uint64_t, int, int, int, std::vector<int64_t>>;
   static auto* const cache = new std::map<Key, std::string>();
-  const Key key{settings.seed(), settings.width(), settings.height(), settings.tile_size(), counts};
+  const uint64_t seed = SeedOf(settings, arithmetic);
+  const Key key{seed, settings.width(), settings.height(), settings.tile_size(), counts};
   const auto known = cache->find(key);
   if (known != cache->end()) return known->second;
   Film film = EmptyFilmOf(settings);
   for (int64_t tile = 0; tile < film.grid().num_tiles(); ++tile) {
     for (const SampleRange& range : MaximalNodes({0, counts.at(static_cast<size_t>(tile))})) {
-      (void)film.Accept(tile, SyntheticTile(settings.seed(), film.grid().WindowOf(tile), range,
+      (void)film.Accept(tile, SyntheticTile(seed, film.grid().WindowOf(tile), range,
                                             film.feature_end()));
     }
   }

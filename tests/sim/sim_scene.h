@@ -21,10 +21,11 @@ inline constexpr uint64_t kPoisonSeed = 666;
 
 // The delta of a lease, as an honest worker makes it, or one that lies.
 v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
-                        bool is_lie = false);
+                        const std::string& arithmetic, bool is_lie = false);
 
-// The digest of a film whose tile i has its first counts[i] samples.
-std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts);
+// The digest of a film whose tile i has its first counts[i] samples, all in one arithmetic.
+std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts,
+                            const std::string& arithmetic);
 
 // What the server's filter would estimate of a picture of so many samples per pixel.
 double SimError(int64_t committed_spp);

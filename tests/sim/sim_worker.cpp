@@ -42,6 +42,7 @@ void SimWorker::Start() {
   options.hello.set_version("sim");
   options.hello.add_isa_classes("x86-64-v3");
   if (crash_) *options.hello.add_crashes() = *std::exchange(crash_, std::nullopt);
+  options.hello.add_arithmetic(me_.arithmetic);
   machine_ = std::make_unique<SessionMachine>(options);
   trace_("starts");
   Post(session_event::Start{});
@@ -214,7 +215,7 @@ void SimWorker::EndRender(uint64_t id) {
   if (task.cancelled) {
     rendered.delta = absl::CancelledError("cancelled");
   } else {
-    rendered.delta = SimRender(task.settings, task.lease, random_.Chance(me_.lies));
+    rendered.delta = SimRender(task.settings, task.lease, me_.arithmetic, random_.Chance(me_.lies));
   }
   Post(std::move(rendered));
   if (machine_ != nullptr) StartThreads();

@@ -80,7 +80,10 @@ absl::StatusOr<std::unique_ptr<EmbreeScene>> EmbreeScene::Create(Scene* scene,
   absl::StatusOr<std::string> embree_isa = EmbreeIsaOf(isa);
   if (!embree_isa.ok()) return embree_isa.status();
   std::unique_ptr<EmbreeScene> result(new EmbreeScene());
-  result->device_.reset(rtcNewDevice(absl::StrCat("isa=", *embree_isa).c_str()));
+  // Embree would take four-wide kernels, with other bits, on processors of some models (Skylake's
+  // servers) that clock down for wider ones.
+  result->device_.reset(
+      rtcNewDevice(absl::StrCat("isa=", *embree_isa, ",frequency_level=simd256").c_str()));
   if (result->device_ == nullptr) {
     return absl::FailedPreconditionError(
         absl::StrCat("Embree makes no device of ISA class ", isa, " (error ",

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "core/base/version.h"
+#include "worker/integrator/arithmetic.h"
 #include "worker/session/asset_fetcher.h"
 #include "worker/session/host_resources.h"
 #include "worker/session/path_tracer_renderer.h"
@@ -48,7 +49,10 @@ SessionOptions MachineOptions(const WorkerOptions& options, uint64_t jitter_seed
   session.hello.set_threads(options.threads);
   session.hello.set_memory_bytes(options.memory_bytes);
   session.hello.set_version(kVersion);
-  for (const std::string& isa : SupportedIsaClasses()) session.hello.add_isa_classes(isa);
+  for (const std::string& isa : SupportedIsaClasses()) {
+    session.hello.add_isa_classes(isa);
+    session.hello.add_arithmetic(ArithmeticOf(isa));
+  }
   session.hello.set_same_process(options.same_process);
   return session;
 }

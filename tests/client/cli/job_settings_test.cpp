@@ -167,6 +167,25 @@ TEST(Continue, FlagsThatAreNotGivenComeFromTheFilm) {
   EXPECT_EQ(Continuing({}).spp(), 16);
 }
 
+// Samples of another processor arithmetic have other bits (C2).
+TEST(Continue, TheFilmsArithmeticIsAskedFor) {
+  v1::JobSettings film = FilmSettings();
+  film.set_arithmetic("00000000000000a1");
+  EXPECT_EQ(SettingsFromFlags({}, &film)->arithmetic(), "00000000000000a1");
+  for (const char* other : {"any", "00000000000000b2"}) {
+    SceneFlags flags;
+    flags.arithmetic = other;
+    v1::JobSettings job = *SettingsFromFlags(flags, &film);
+    *job.mutable_assets() = film.assets();
+    job.set_scene_name(film.scene_name());
+    const absl::Status status = CheckContinues("--continue", film, job);
+    EXPECT_THAT(std::string(status.message()), HasSubstr("--arithmetic")) << other;
+  }
+  SceneFlags flags;
+  flags.arithmetic = "epyc";
+  EXPECT_THAT(MessageOf(SettingsFromFlags(flags, nullptr)), HasSubstr("16 hexadecimal digits"));
+}
+
 TEST(Continue, AFilmWithoutACountGoesOnToItsOwnGoal) {
   SceneFlags flags;
   flags.target_error = "0.02";
