@@ -1,7 +1,7 @@
 // Many bounces without chance: a closed white room as an operator on what light keeps, by cosine.
-// Inside a sphere a ray that leaves a surface under a cosine meets the next one under the same one,
-// so a bounce turns v(cosine), what later bounces keep, into the mean of weight v(|cos wi|) over
-// the samples of the surface's own Sample, taken at a fixed set of points. Applied n times to 1 this
+// Inside a sphere a ray that leaves a surface under a cosine meets the next one under the same, so
+// a bounce turns v(cosine), what later bounces keep, into the mean of weight v(|cos wi|) over the
+// samples of the surface's own Sample, taken at a fixed set of points. Applied n times to 1 this
 // is what n bounces keep; nothing multiplies weights along a path, whose means would hang on few.
 #include <gtest/gtest.h>
 
