@@ -10,7 +10,8 @@ import threading
 
 from tqdm import tqdm
 
-from tessera_chart import ladder, lanes, methods, oidn, peers_of, programs, results, views
+from tessera_chart import (ladder, lanes, measures, methods, oidn, peers_of, programs, results,
+                           views)
 from tessera_chart.errors import BadInput
 
 EXIT_BAD_INPUT, EXIT_CANCELLED = 2, 4
@@ -103,6 +104,11 @@ def make_plan(args: argparse.Namespace) -> ladder.Plan:
         for path in references:
             if not path.is_file():
                 raise BadInput(f"--reference {path}: no such file; give sample counts or pictures")
+            height, width = measures.read_rgb(path).shape[:2]
+            has_region = args.region or any("--region" in scene for scene in args.scenes)
+            if f"{width}x{height}" != args.size and not has_region:
+                raise BadInput(f"--reference {path}: has {width}x{height} pixels: use --size "
+                               f"{width}x{height}, or a reference of {args.size}")
         if len(references) > 2 or len(args.scenes) > 1:
             raise BadInput("--reference: one picture or two, of one scene")
     network = args.oidn and shutil.which(args.oidn)
@@ -154,13 +160,18 @@ def work_through(ladders: list[ladder.Ladder], quiet: bool, num_lanes: int = 1) 
         lanes.run([functools.partial(climb, *piece) for piece in work], num_lanes)
 
 
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
 def intro(plan: ladder.Plan, version: str) -> list[str]:
     reference = (" and ".join(map(str, plan.references)) if plan.references
                  else f"two pictures of {plan.reference_spp} samples per pixel with other seeds")
     scaled = (f" Times and bytes are in proportion to pixels, for a frame of {plan.frame}; loading is "
               "counted once." if plan.frame else "")
     return [
-        f"{version}, {plan.size} pixels, {len(plan.seeds)} seeds, {os.cpu_count()} cores.{scaled} "
+        f"{version}, {plan.size} pixels, {_counted(len(plan.seeds), 'seed')}, "
+        f"{_counted(os.cpu_count(), 'core')}.{scaled} "
         f"References: {reference}. relMSE is (x-r1)(x-r2) / (r^2 + 0.01), free of the references' "
         "own noise on average; below the dotted line it is uncertain all the same. Points are means "
         "over the seeds, bars reach from the least seed to the greatest.",

@@ -5,6 +5,8 @@ Each piece of work is a task whose result lies in a Store; a finished one is not
 
 import collections
 import dataclasses
+import hashlib
+import math
 import pathlib
 import threading
 from typing import Callable
@@ -35,12 +37,10 @@ class Plan:
     frame: str | None = None  # times and bytes are said for a frame of this size
     is_timed: bool = True  # else CPU times are not to be used: what only they need is not run
 
-    def pixels(self) -> int:
-        return pixels_of(self.size)
-
-    def scale(self) -> float:
-        """Of times and bytes."""
-        return pixels_of(self.frame) / self.pixels() if self.frame else 1.0
+    def reference_text(self) -> str:
+        """Another one for other references: errors against them are other errors."""
+        digests = [hashlib.sha256(p.read_bytes()).hexdigest() for p in self.references]
+        return " ".join(digests) or str(self.reference_spp)
 
 
 def pixels_of(size: str) -> int:
@@ -74,8 +74,9 @@ def cpu_times(counts: list[int], process_s: list[float], nothing_s: float) -> tu
 class _Costs:
     """Times and bytes of one seed's ladder."""
 
-    def __init__(self, plan: Plan, steps: list[dict], nothing_s: float | None):
+    def __init__(self, plan: Plan, num_pixels: int, steps: list[dict], nothing_s: float | None):
         self._plan, self._steps = plan, steps
+        self._scale = pixels_of(plan.frame) / num_pixels if plan.frame else 1.0
         self._nothing_s = nothing_s
         self.load_s = steps[0]["seconds"]["load"]
         self.load_cpu_s, self._cpu_per_spp = 0.0, 0.0
@@ -99,7 +100,7 @@ class _Costs:
 
     def scaled(self, row: dict) -> dict:
         """For the plan's frame: all but loading is in proportion to pixels. With totals."""
-        scale = self._plan.scale()
+        scale = self._scale
         is_ours = row["method"] != methods.CYCLES  # whose times are without loading
         for column, load in (("render_s", self.load_s), ("render_cpu_s", self.load_cpu_s)):
             load = min(load, row[column]) if is_ours else 0.0
@@ -117,7 +118,8 @@ class Ladder:
     def __init__(self, plan: Plan, view: View, work: pathlib.Path):
         self.plan, self.view = plan, view
         version = plan.tessera.version()
-        self.store = Store(work / f"{view.name}-{view.digest(plan.size, version)}")
+        measured = view.digest(plan.size, f"{version}, {plan.reference_text()}")
+        self.store = Store(work / f"{view.name}-{measured}")
         self.shared = Store(work / f"reference-{view.picture_digest(plan.size, version)}")
         self._reference: measures.Reference | None = None
 
@@ -128,14 +130,14 @@ class Ladder:
         plan, rate = self.plan, 1.2e6  # samples a second, roughly
         todo = []
         if not plan.references:
-            weight = 0.3 + plan.pixels() * plan.reference_spp / rate
+            weight = 0.3 + self._pixels() * plan.reference_spp / rate
             todo += [Task(f"reference {i + 1}", weight, lambda s=s: self._render_reference(s))
                      for i, s in enumerate(REFERENCE_SEEDS)]
-        per_filter = 0.3 + 10e-6 * plan.pixels()
+        per_filter = 0.3 + 10e-6 * self._pixels()
         for seed in plan.seeds:
             before = 0
             for spp in plan.spp:
-                weight = 0.4 + plan.pixels() * (spp - before) / rate
+                weight = 0.4 + self._pixels() * (spp - before) / rate
                 todo.append(Task(f"{spp} spp", weight,
                                  lambda a=(seed, spp, before): self._render_step(*a)))
                 before = spp
@@ -152,6 +154,11 @@ class Ladder:
                                      lambda r=runner, a=(method, seed, spp): r(*a)))
         return todo
 
+    def _pixels(self) -> int:
+        """Those that are rendered."""
+        region = self.view.flag("--region")
+        return math.prod(map(int, region.split(",")[2:])) if region else pixels_of(self.plan.size)
+
     def _is_measured(self, method: methods.Method, seed: int, spp: int) -> bool:
         """Cycles takes seconds to start, so one seed has to do; adaptive sampling renders at most as
         much as the longest step, whose own error it can therefore not be asked for."""
@@ -166,7 +173,7 @@ class Ladder:
             return self._measure_raw, 0.02
         if method.denoiser:
             return self._measure_filter, 0
-        at_mean_spp = plan.pixels() * sum(plan.spp) / len(plan.spp) / 1e6
+        at_mean_spp = self._pixels() * sum(plan.spp) / len(plan.spp) / 1e6
         return {methods.OIDN: (self._measure_oidn, 0), methods.OIDN_HQ: (self._measure_oidn, 0),
                 methods.ADAPTIVE: (self._measure_adaptive, 1 + at_mean_spp),
                 methods.CYCLES: (self._measure_cycles, 3 + at_mean_spp)}[method.name]
@@ -328,7 +335,7 @@ class Ladder:
             nothing_s = (self.store.get(f"{seed}.nothing") or {}).get("process_cpu_s")
             if None in steps or (nothing_s is None and self.plan.is_timed):
                 continue
-            costs = _Costs(self.plan, steps, nothing_s)
+            costs = _Costs(self.plan, self._pixels(), steps, nothing_s)
             for at, spp in enumerate(self.plan.spp):
                 shared = {"scene": self.view.name, "seed": seed, "spp": spp, "own_spp": spp,
                           **costs.of_step(at)}

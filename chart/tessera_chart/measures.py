@@ -89,8 +89,8 @@ class Reference:
         return frequency[order], power.ravel()[order]
 
     def errors(self, picture: numpy.ndarray) -> Errors:
-        frequency, power = self.power(picture)
         by_pixel = numpy.sort(self.relative_errors(picture).ravel())
+        frequency, power = self.power(picture)
         num_trimmed = min(max(round(by_pixel.size * TRIMMED_SHARE), 1), by_pixel.size - 1)
         flip = _flip(_Seen(srgb_encode(picture)), self._seen)
         return Errors(float(by_pixel.mean()), float(by_pixel[:by_pixel.size - num_trimmed].mean()),

@@ -78,7 +78,7 @@ class Frames(unittest.TestCase):
         plan = ladder.Plan(None, [], [4, 16, 64], [1], "32x18", 8, [], None, frame="64x36")
         step = {"seconds": {"load": 1.0, "render": 2.0}, "bytes": {"deltas": 10}}
         steps = [{**step, "process_cpu_s": s} for s in (0, 0.3 + 0.5 + 1.2, 0.3 + 0.5 + 4.8)]
-        costs = ladder._Costs(plan, steps, 0.3)
+        costs = ladder._Costs(plan, 32 * 18, steps, 0.3)
         row = costs.scaled({"method": "x", "filter_s": 1.0, "filter_cpu_s": 0.5, **costs.of_step(1)})
         self.assertAlmostEqual(row["render_cpu_s"], 0.5 + 4 * 1.6)
         self.assertAlmostEqual(row["render_s"], 1 + 4 * 4)
