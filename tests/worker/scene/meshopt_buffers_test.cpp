@@ -7,94 +7,12 @@
 #include <cmath>
 #include <numbers>
 
-#include "tests/worker/scene/scene_file.h"
+#include "tests/worker/scene/meshopt_file.h"
 
 namespace tessera {
 namespace {
 
 using ::testing::HasSubstr;
-
-constexpr int kSide = 12;  // vertices of a bumpy square grid, a side
-
-std::vector<float> GridPositions() {
-  std::vector<float> positions;
-  for (int y = 0; y < kSide; ++y) {
-    for (int x = 0; x < kSide; ++x) {
-      positions.insert(positions.end(), {static_cast<float>(x), static_cast<float>(y),
-                                         static_cast<float>((x * 7 + y * 3) % 5) * 0.25f});
-    }
-  }
-  return positions;
-}
-
-std::vector<uint32_t> GridIndices() {
-  std::vector<uint32_t> indices;
-  for (uint32_t y = 0; y + 1 < kSide; ++y) {
-    for (uint32_t x = 0; x + 1 < kSide; ++x) {
-      const uint32_t a = y * kSide + x, b = a + 1, c = a + kSide, d = c + 1;
-      indices.insert(indices.end(), {a, b, d, a, d, c});
-    }
-  }
-  return indices;
-}
-
-std::string EncodeVertices(const void* data, size_t count, size_t stride) {
-  std::string out(meshopt_encodeVertexBufferBound(count, stride), '\0');
-  out.resize(meshopt_encodeVertexBuffer(reinterpret_cast<unsigned char*>(out.data()), out.size(),
-                                        data, count, stride));
-  return out;
-}
-
-std::string EncodeIndices(const std::vector<uint32_t>& indices, bool as_triangles) {
-  std::string out(4096, '\0');
-  unsigned char* bytes = reinterpret_cast<unsigned char*>(out.data());
-  out.resize(as_triangles
-                 ? meshopt_encodeIndexBuffer(bytes, out.size(), indices.data(), indices.size())
-                 : meshopt_encodeIndexSequence(bytes, out.size(), indices.data(), indices.size()));
-  return out;
-}
-
-// Makes view `view` refer to its bytes as compressed, its plain form to a fallback buffer.
-void Compress(SceneFile* file, int view, size_t count, size_t stride, const std::string& mode,
-              const std::string& filter = "NONE") {
-  nlohmann::json& entry = file->json["bufferViews"][static_cast<size_t>(view)];
-  entry["extensions"]["EXT_meshopt_compression"] = {
-      {"buffer", 0},          {"byteOffset", entry["byteOffset"]},
-      {"count", count},       {"byteLength", entry["byteLength"]},
-      {"byteStride", stride}, {"mode", mode},
-      {"filter", filter}};
-  entry["buffer"] = 1;
-  entry["byteOffset"] = 0;
-  entry["byteLength"] = count * stride;
-}
-
-SceneFile CompressedGrid(bool as_triangles, size_t index_size) {
-  const std::vector<float> positions = GridPositions();
-  const std::vector<uint32_t> indices = GridIndices();
-  const size_t num_vertices = positions.size() / 3;
-  SceneFile file = OneTriangle();
-  file.json["accessors"].clear();
-  file.json["bufferViews"].clear();
-  file.buffer.clear();
-  const int vertex_view = file.AddView(EncodeVertices(positions.data(), num_vertices, 12));
-  Compress(&file, vertex_view, num_vertices, 12, "ATTRIBUTES");
-  const int index_view = file.AddView(EncodeIndices(indices, as_triangles));
-  Compress(&file, index_view, indices.size(), index_size, as_triangles ? "TRIANGLES" : "INDICES");
-  file.json["accessors"] = {{{"bufferView", vertex_view},
-                             {"componentType", 5126},
-                             {"count", num_vertices},
-                             {"type", "VEC3"}},
-                            {{"bufferView", index_view},
-                             {"componentType", index_size == 2 ? 5123 : 5125},
-                             {"count", indices.size()},
-                             {"type", "SCALAR"}}};
-  file.json["buffers"] = nlohmann::json::array(
-      {nlohmann::json::object(),
-       {{"byteLength", 100000},
-        {"extensions", {{"EXT_meshopt_compression", {{"fallback", true}}}}}}});
-  file.json["extensionsRequired"] = {"EXT_meshopt_compression"};
-  return file;
-}
 
 double AreaOf(const Scene& scene) {
   double area = 0;
@@ -120,10 +38,10 @@ TEST(MeshoptBuffers, AllModesGiveThePlainMesh) {
   }
   for (const bool as_triangles : {true, false}) {
     for (const size_t index_size : {size_t{2}, size_t{4}}) {
-      SceneFile file = CompressedGrid(as_triangles, index_size);
+      SceneFile file = MeshoptGrid(as_triangles, index_size);
       const auto scene = file.Load();
       ASSERT_TRUE(scene.ok()) << scene.status();
-      EXPECT_EQ((*scene)->num_triangles(), 2 * (kSide - 1) * (kSide - 1));
+      EXPECT_EQ((*scene)->num_triangles(), 2 * (kMeshoptSide - 1) * (kMeshoptSide - 1));
       EXPECT_NEAR(AreaOf(**scene), expected_area, 1e-9);
     }
   }
@@ -150,7 +68,7 @@ TEST(MeshoptBuffers, FiltersInvertTheirEncoders) {
   meshopt_encodeFilterOct(octahedral.data(), kCount, 4, 8, directions.data());
   view.stride = 4;
   view.filter = MeshoptView::Filter::kOctahedral;
-  ASSERT_TRUE(DecodeMeshopt(view, EncodeVertices(octahedral.data(), kCount, 4), &out).ok());
+  ASSERT_TRUE(DecodeMeshopt(view, EncodeMeshoptVertices(octahedral.data(), kCount, 4), &out).ok());
   for (size_t i = 0; i < kCount * 4; ++i) {
     if (i % 4 == 3) continue;
     EXPECT_NEAR(static_cast<int8_t>(out[i]) / 127.0, directions[i], 0.02) << i;
@@ -160,7 +78,7 @@ TEST(MeshoptBuffers, FiltersInvertTheirEncoders) {
   meshopt_encodeFilterQuat(rotation.data(), kCount, 8, 16, quaternions.data());
   view.stride = 8;
   view.filter = MeshoptView::Filter::kQuaternion;
-  ASSERT_TRUE(DecodeMeshopt(view, EncodeVertices(rotation.data(), kCount, 8), &out).ok());
+  ASSERT_TRUE(DecodeMeshopt(view, EncodeMeshoptVertices(rotation.data(), kCount, 8), &out).ok());
   for (size_t i = 0; i < kCount; ++i) {
     double dot = 0;
     for (size_t c = 0; c < 4; ++c) {
@@ -175,7 +93,8 @@ TEST(MeshoptBuffers, FiltersInvertTheirEncoders) {
   meshopt_encodeFilterExp(exponential.data(), kCount, 16, 20, directions.data());
   view.stride = 16;
   view.filter = MeshoptView::Filter::kExponential;
-  ASSERT_TRUE(DecodeMeshopt(view, EncodeVertices(exponential.data(), kCount, 16), &out).ok());
+  ASSERT_TRUE(
+      DecodeMeshopt(view, EncodeMeshoptVertices(exponential.data(), kCount, 16), &out).ok());
   for (size_t i = 0; i < kCount * 4; ++i) {
     float value;
     std::memcpy(&value, out.data() + i * 4, 4);
@@ -184,24 +103,24 @@ TEST(MeshoptBuffers, FiltersInvertTheirEncoders) {
 }
 
 TEST(MeshoptBuffers, DamageIsAnError) {
-  SceneFile flipped = CompressedGrid(true, 2);
+  SceneFile flipped = MeshoptGrid(true, 2);
   flipped.buffer[0] = static_cast<char>(flipped.buffer[0] ^ 0x55);
   EXPECT_THAT(flipped.LoadError(), HasSubstr("bufferViews[0]: meshopt data is damaged"));
 
-  SceneFile greedy = CompressedGrid(true, 2);
+  SceneFile greedy = MeshoptGrid(true, 2);
   greedy.json["bufferViews"][0]["extensions"]["EXT_meshopt_compression"]["count"] = 1 << 30;
   EXPECT_THAT(greedy.LoadError(), HasSubstr("cannot hold 1073741824 elements"));
 
-  SceneFile mode = CompressedGrid(true, 2);
+  SceneFile mode = MeshoptGrid(true, 2);
   mode.json["bufferViews"][1]["extensions"]["EXT_meshopt_compression"]["mode"] = "MAGIC";
   EXPECT_THAT(mode.LoadError(),
               HasSubstr("bufferViews[1].extensions.EXT_meshopt_compression.mode"));
 
-  SceneFile filter = CompressedGrid(true, 2);
+  SceneFile filter = MeshoptGrid(true, 2);
   filter.json["bufferViews"][0]["extensions"]["EXT_meshopt_compression"]["filter"] = "OCTAHEDRAL";
   EXPECT_THAT(filter.LoadError(), HasSubstr("byteStride: does not fit the filter"));
 
-  SceneFile range = CompressedGrid(true, 2);
+  SceneFile range = MeshoptGrid(true, 2);
   range.json["bufferViews"][0]["extensions"]["EXT_meshopt_compression"]["byteLength"] = 1 << 30;
   EXPECT_THAT(range.LoadError(), HasSubstr("lie outside buffers[0]"));
 }
