@@ -1,0 +1,16 @@
+// A server that takes deltas and drops them: what gRPC alone reaches on this machine.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+namespace tessera {
+
+// Serves WorkerService.Work on loopback: hands `num_leases` leases of `tile_size` x `tile_size`
+// pixels, `ahead` to each session at once, in the order of tiles of a frame of `num_tiles`, passes
+// that double; reads the deltas and counts them. Writes its port to `port_file`. Returns when all
+// have come.
+void RunBareStreamServer(const std::string& port_file, int64_t num_leases, int64_t num_tiles,
+                         int tile_size, int ahead);
+
+}  // namespace tessera
