@@ -50,12 +50,18 @@ struct PathWalker::PathState {
   V3f direct;  // what the light adds if nothing is in the way of the shadow ray
 };
 
-// A direction that a surface scattered a path into.
+// Of the lobe that a direction was drawn from, the share of its width that the direction stands
+// for: a quarter, as if a pixel's samples were sixteen.
+inline constexpr float kConeShare = 0.25f;
+
+// A direction that a surface scattered a path into; that both normals agree on.
 struct PathWalker::Scattered {
   V3f direction;  // unit, world space
   V3f weight;     // bsdf times cosine / pdf
   float pdf;      // 1/sr
   float cosine;   // with the shading normal
+  V3f origin;     // off the surface, on the direction's side
+  float spread;   // what the direction stands for adds to the cone's
 };
 
 // Paths by index.

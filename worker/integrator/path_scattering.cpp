@@ -1,9 +1,11 @@
 // The steps of path_walker that ask BSDFs: surfaces that Bsdf8 covers eight at a time, the others
 // one by one. Bits do not depend on the company in a register.
 #include <algorithm>
+#include <cmath>
 
 #include "worker/integrator/path_batch.h"
 #include "worker/integrator/portable_math.h"
+#include "worker/integrator/ray_offset.h"
 
 namespace tessera {
 namespace {
@@ -136,8 +138,17 @@ void PathWalker::SampleBsdfs(const Batch& batch, const NumbersOfPaths& numbers,
     const PathState& path = batch.paths[i];
     BsdfSample sample;
     if (!path.bsdf->Sample((*numbers[i])[kChoice].y, (*numbers[i])[kScatter], &sample)) continue;
-    (*scattered)[i] = {Unit(path.frame->ToWorld(sample.wi)), sample.weight, sample.pdf,
-                       sample.wi.z};
+    const Surface& surface = *path.surface;
+    const V3f direction = Unit(path.frame->ToWorld(sample.wi));
+    const float above = direction.dot(surface.geometric_normal);
+    if (above * sample.wi.z <= 0) continue;
+    const V3f normal = above > 0 ? surface.geometric_normal : -surface.geometric_normal;
+    (*scattered)[i] = {direction,
+                       sample.weight,
+                       sample.pdf,
+                       sample.wi.z,
+                       OffsetRayOrigin(surface.position, normal, surface.coordinate_max),
+                       kConeShare / std::sqrt(kPiFloat * sample.pdf)};
     scattering->Add(i);
   }
   for (int e = 0; e < batch.num_eights; ++e) {
@@ -147,10 +158,22 @@ void PathWalker::SampleBsdfs(const Batch& batch, const NumbersOfPaths& numbers,
     const FourOf8 u = LoadFour8(from);
     const Bsdf8::Sampled sample = eight.bsdf.Sample(u[1], u[2], u[3]);
     const Vec8 direction = Unit8(eight.frame.ToWorld(sample.wi));
+    const FourOf8 position =
+        eight.Load(batch, [](const PathState& path) { return &path.surface->position.x; });
+    const FourOf8 normal =
+        eight.Load(batch, [](const PathState& path) { return &path.surface->geometric_normal.x; });
+    const Float8 above = Dot8(direction, {normal[0], normal[1], normal[2]});
+    const Int8 goes_on = sample.valid & ~(above * sample.wi.z <= 0);
+    const Vec8 side = {NegatedWhere(~(above > 0), normal[0]), NegatedWhere(~(above > 0), normal[1]),
+                       NegatedWhere(~(above > 0), normal[2])};
+    // As OffsetRayOrigin; coordinate_max lies behind the position.
+    const Vec8 origin =
+        Vec8{position[0], position[1], position[2]} + side * (position[3] * kRayOffset);
+    const Float8 spread = kConeShare / Sqrt8(kPiFloat * sample.pdf);
     for (int i = 0; i < eight.size; ++i) {
-      if (sample.valid[i] == 0) continue;
+      if (goes_on[i] == 0) continue;
       (*scattered)[eight.paths[i]] = {direction.Get(i), sample.weight.Get(i), sample.pdf[i],
-                                      sample.wi.z[i]};
+                                      sample.wi.z[i],   origin.Get(i),        spread[i]};
       scattering->Add(eight.paths[i]);
     }
   }

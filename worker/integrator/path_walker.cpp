@@ -26,10 +26,6 @@ static_assert(kRouletteStart > 0 && kFirstLightSamples <= 2, "of the numbers of 
 // Paths through more surfaces than this end, whatever max_depth says.
 constexpr int kDepthLimit = 1024;
 
-// Of the lobe that a direction was drawn from, the share of its width that the direction stands
-// for: a quarter, as if a pixel's samples were sixteen.
-constexpr float kConeShare = 0.25f;
-
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // Converts to what `make` returns: an optional that it is put into needs no copy.
@@ -325,9 +321,6 @@ void PathWalker::Branch(const Batch& stems, int branch, Batch* batch) const {
 bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
                           PathState* path) const {
   const Surface& surface = *from.surface;
-  const V3f& direction = scattered.direction;
-  const float above = direction.dot(surface.geometric_normal);
-  if (above * scattered.cosine <= 0) return false;
   path->throughput *= scattered.weight;
   const float most = MaxComponent(path->throughput);
   if (!(most > 0)) return false;
@@ -336,15 +329,12 @@ bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
     if (path->numbers[kRoulette].x >= survival) return false;
     path->throughput *= 1 / survival;
   }
-  path->ray = {OffsetRayOrigin(surface.position,
-                               above > 0 ? surface.geometric_normal : -surface.geometric_normal,
-                               surface.coordinate_max),
-               direction, kInfinity};
+  path->ray = {scattered.origin, scattered.direction, kInfinity};
   if (scattered.cosine < 0 && !surface.bsdf.thin_walled) {
     path->medium = surface.front_face ? surface.absorption : V3f(0, 0, 0);
   }
   path->pdf = scattered.pdf * static_cast<float>(NumBranches(path->depth));
-  path->cone_spread += kConeShare / std::sqrt(kPiFloat * scattered.pdf);
+  path->cone_spread += scattered.spread;
   ++path->depth;
   return true;
 }

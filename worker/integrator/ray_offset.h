@@ -17,12 +17,15 @@ inline float MaxAbs(const Imath::V3f& p) {
   return xy > z ? xy : z;
 }
 
+// Of the largest coordinate.
+inline constexpr float kRayOffset = 0x1p-18f;
+
 // `p` on the surface; `n` its unit geometric normal on the side to which the ray leaves;
 // `coordinate_max`: the largest magnitude among the coordinates behind p (the triangle's corners).
 // Interpolating corners errs by 7 half-ulps of it (Pharr, Jakob & Humphreys 2016, section 3.9.4),
 // and the next intersection test by some more; 64 are moved.
 inline Imath::V3f OffsetRayOrigin(const Imath::V3f& p, const Imath::V3f& n, float coordinate_max) {
-  return p + n * (coordinate_max * 0x1p-18f);
+  return p + n * (coordinate_max * kRayOffset);
 }
 
 }  // namespace tessera

@@ -41,6 +41,18 @@ V3f AbsorptionOf(const Material& material) {
   return absorption;
 }
 
+inline WorldTriangle CornersOf(const InstanceGeometry& geometry,
+                               const std::array<uint32_t, 3>& corner) {
+  const V3f* positions = geometry.mesh->positions.data();
+  WorldTriangle world{positions[corner[0]], positions[corner[1]], positions[corner[2]]};
+  if (geometry.instanced) {
+    world = {geometry.transform.Point(world.a), geometry.transform.Point(world.b),
+             geometry.transform.Point(world.c)};
+    if (geometry.transform.mirrors) std::swap(world.b, world.c);
+  }
+  return world;
+}
+
 // Turns `ns` towards `ng` until wo and its mirror image about ns are above the surface, so that
 // every direction that the shading frame reflects by a mirror exists. All unit, ng.wo > 0.
 V3f AboveSurface(const V3f& ns, const V3f& ng, const V3f& wo) {
@@ -167,15 +179,7 @@ float SurfaceReader::ThroughClearcoat(const Mesh& mesh, uint32_t triangle, float
 
 WorldTriangle SurfaceReader::TriangleOf(uint32_t instance, uint32_t triangle) const {
   const InstanceGeometry& geometry = geometries_[instance];
-  const std::array<uint32_t, 3>& corner = geometry.mesh->triangles[triangle];
-  const std::vector<V3f>& positions = geometry.mesh->positions;
-  WorldTriangle world{positions[corner[0]], positions[corner[1]], positions[corner[2]]};
-  if (geometry.instanced) {
-    world = {geometry.transform.Point(world.a), geometry.transform.Point(world.b),
-             geometry.transform.Point(world.c)};
-    if (geometry.transform.mirrors) std::swap(world.b, world.c);
-  }
-  return world;
+  return CornersOf(geometry, geometry.mesh->triangles[triangle]);
 }
 
 SurfaceReader::Constants SurfaceReader::ConstantsOf(const Material& material,
@@ -382,8 +386,9 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo, float cone_width) 
   const Mesh& mesh = *geometry.mesh;
   const Material& material = scene_.materials[mesh.material];
   const Constants& constants = constants_[mesh.material];
-  const WorldTriangle t = TriangleOf(hit.instance, hit.triangle);
-  const Place place{hit, geometry, mesh, material, mesh.triangles[hit.triangle], t};
+  const std::array<uint32_t, 3>& corner = mesh.triangles[hit.triangle];
+  const WorldTriangle t = CornersOf(geometry, corner);
+  const Place place{hit, geometry, mesh, material, corner, t};
 
   Surface s;
   s.material = static_cast<uint32_t>(mesh.material);
