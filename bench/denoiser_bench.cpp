@@ -2,45 +2,50 @@
 // it says of its own error, how often its 95 % intervals hold the truth and how wide they are, in
 // how many 32x32 blocks it does harm, and what it costs.
 //   denoiser_bench INPUT=REFERENCE[,REFERENCE] ... [--denoiser NAME] [--threads N] [--repeat N]
-//     [--update]
+//     [--set OPTION=VALUE ...] [--update] [--sensitivity]
 // INPUT is a film (tessera render --layers film), or a folder of another renderer's images: color,
 // albedo, normal and depth, each as NAME.exr, NAMEA.exr, NAMEB.exr and NAMEVariance.exr.
-// --update adds what it costs to bring the picture up to date after news in one tile of 64x64.
+// --update adds what it costs to bring the picture up to date after news in one tile of 64x64;
+// --sensitivity what half and twice each of the filter's constants change, as a table.
 // With two independent references their noise is taken out; with one, harm alone is free of it.
 #include <CLI/CLI.hpp>
 #include <sys/resource.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
-#include "client/cli/denoise_input.h"
 #include "core/base/tile_grid.h"
 #include "core/denoise/confidence.h"
 #include "core/denoise/denoise_frame.h"
 #include "core/denoise/frame_filter.h"
+#include "core/film/film.h"
+#include "core/image/film_file.h"
 #include "core/image/image_reader.h"
 #include "core/statistics/calibration.h"
+#include "tests/core/denoise/harm.h"
 
 namespace tessera {
 namespace {
 
-constexpr int kBlockPx = 32;
 constexpr int kTruthRadiusPx = 2;      // the true squared error is averaged over 5x5 pixels
 constexpr int kReferenceRadiusPx = 4;  // the references' variance over 9x9
-constexpr double kHarmSlack = 1e-8;
-constexpr double kHarmLevel = 0.001;
 
 struct Options {
   std::vector<std::string> inputs;
   std::string denoiser;
+  std::vector<std::string> constants;
+  bool sensitivity = false;
   int threads = 1;
   int repeat = 1;
   bool update = false;
@@ -117,10 +122,31 @@ absl::StatusOr<FramePlanes> ReadFolder(const std::string& folder) {
   return planes;
 }
 
+absl::StatusOr<FramePlanes> ReadFilm(const std::string& path) {
+  const absl::StatusOr<FilmFile> file = ReadFilmFile(path);
+  if (!file.ok()) return file.status();
+  int tile_size = 1;  // of the nodes: all tiles but those at the border
+  for (const TileStatistics& node : file->nodes) {
+    tile_size = std::max({tile_size, node.window().width(), node.window().height()});
+  }
+  const TileGrid grid(file->region, tile_size);
+  Film film(grid, file->feature_end);
+  for (const TileStatistics& node : file->nodes) {
+    const PixelRect& window = node.window();
+    const absl::Status accepted =
+        film.Accept(grid.TilesIn(PixelRect::FromSize(window.x_begin, window.y_begin, 1, 1))[0],
+                    node);
+    if (!accepted.ok()) return accepted;
+  }
+  FramePlanes planes(file->region);
+  for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) planes.Resolve(film.Fold(tile));
+  CalibrateVariance(planes.bounds, &planes);
+  return planes;
+}
+
 // Two references; the same one twice if there is no other.
 struct Truth {
   Planes3 first, second;
-  bool is_one = false;
 
   double Error(double value, size_t c, size_t i) const {
     return (value - double{first[c][i]}) * (value - double{second[c][i]});
@@ -204,45 +230,14 @@ void MeasureIntervals(const FilteredPlanes& out, const Truth& truth, Row* row) {
   row->width = width / (double{kNormalQuantile975} * deviation);
 }
 
-// Blocks whose squared error is above the raw mean's by more than chance, tested pixel by pixel
-// (correlated errors make the test more eager to find harm), Holm 1979.
 void MeasureHarm(const FramePlanes& planes, const FilteredPlanes& out, const Truth& truth,
                  Row* row) {
-  const TileGrid grid(out.bounds, kBlockPx);
-  std::vector<double> levels;
-  for (int64_t block = 0; block < grid.num_tiles(); ++block) {
-    const PixelRect window = grid.WindowOf(block);
-    double sum = 0, square = 0, filtered = 0, raw = 0;
-    for (int y = window.y_begin; y < window.y_end; ++y) {
-      for (int x = window.x_begin; x < window.x_end; ++x) {
-        const auto i = static_cast<size_t>(out.bounds.IndexOf(x, y));
-        double more = 0;
-        for (size_t c = 0; c < 3; ++c) {
-          const double of_filtered = truth.Error(double{out.color[c][i]}, c, i);
-          const double of_raw = truth.Error(double{planes.color[c][i]}, c, i);
-          more += of_filtered - of_raw;
-          filtered += of_filtered;
-          raw += of_raw;
-        }
-        sum += more;
-        square += more * more;
-      }
-    }
-    const auto n = static_cast<double>(window.area());
-    const double mean = sum / n;
-    const double error = std::sqrt(std::max(square / n - mean * mean, 0.0) / n);
-    const double excess = mean - 3 * kHarmSlack;
-    const double z = error > 0 ? excess / error : excess > 0 ? 100 : -100;
-    levels.push_back(0.5 * std::erfc(z / std::sqrt(2.0)));
-    row->worst_block = std::max(row->worst_block,
-                                (filtered / n) / std::max(raw / n, 3 * kHarmSlack));
-  }
-  std::ranges::sort(levels);
-  row->num_blocks = static_cast<int>(levels.size());
-  for (size_t i = 0; i < levels.size(); ++i) {
-    if (levels[i] > kHarmLevel / static_cast<double>(levels.size() - i)) break;
-    ++row->num_harmed;
-  }
+  const std::vector<BlockHarm> blocks = HarmOfBlocks(
+      out.bounds, out.color, planes.color,
+      [&](double value, size_t c, size_t i) { return truth.Error(value, c, i); });
+  row->num_blocks = static_cast<int>(blocks.size());
+  row->num_harmed = CountHarmed(blocks);
+  for (const BlockHarm& block : blocks) row->worst_block = std::max(row->worst_block, block.ratio);
 }
 
 // Seconds of CPU per pixel of a tile to bring the whole filtered picture up to date after news in
@@ -278,51 +273,129 @@ void MeasureUpdate(const FramePlanes& planes, const Denoiser& denoiser) {
               static_cast<double>(filter->kept_bytes()) / static_cast<double>(bounds.area()));
 }
 
-absl::Status Measure(const Options& options, const Denoiser& denoiser, const std::string& text) {
+// What the filter is measured on.
+struct Input {
+  std::string name;
+  FramePlanes planes;
+  Truth truth;
+};
+
+absl::StatusOr<Input> ReadInput(const std::string& text) {
   const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
   const std::vector<std::string> references = absl::StrSplit(parts.back(), ',');
   if (parts.size() != 2 || references.size() > 2) {
     return absl::InvalidArgumentError(text + ": must be INPUT=REFERENCE or INPUT=FIRST,SECOND");
   }
-  FramePlanes planes;
-  if (std::filesystem::is_directory(parts[0])) {
-    absl::StatusOr<FramePlanes> read = ReadFolder(parts[0]);
-    if (!read.ok()) return read.status();
-    planes = *std::move(read);
-  } else {
-    absl::StatusOr<DenoiseInput> read = ReadDenoiseInput({parts[0]}, {});
-    if (!read.ok()) return read.status();
-    planes = std::move(read->planes);
-    CalibrateVariance(planes.bounds, &planes);
-  }
-  Truth truth;
+  absl::StatusOr<FramePlanes> planes =
+      std::filesystem::is_directory(parts[0]) ? ReadFolder(parts[0]) : ReadFilm(parts[0]);
+  if (!planes.ok()) return planes.status();
   absl::StatusOr<Planes3> first = ReadColor(references.front(), true);
   absl::StatusOr<Planes3> second = ReadColor(references.back(), true);
   if (!first.ok()) return first.status();
   if (!second.ok()) return second.status();
-  truth = {*std::move(first), *std::move(second), references.size() == 1};
-  if (truth.first[0].size() != planes.samples.size() ||
-      truth.second[0].size() != planes.samples.size()) {
+  Input input{std::filesystem::path(parts[0]).stem().string(), *std::move(planes),
+              {*std::move(first), *std::move(second)}};
+  if (input.truth.first[0].size() != input.planes.samples.size() ||
+      input.truth.second[0].size() != input.planes.samples.size()) {
     return absl::InvalidArgumentError(text + ": the reference has another size");
   }
+  return input;
+}
+
+void Measure(const Options& options, const Denoiser& denoiser, const Input& input) {
   FilteredPlanes out;
   double seconds = 1e30;
   for (int round = 0; round < options.repeat; ++round) {
     const double begin = UserSeconds();
-    out = DenoiseFrame(denoiser, planes, DenoiseQuality::kFinal, options.threads);
+    out = DenoiseFrame(denoiser, input.planes, DenoiseQuality::kFinal, options.threads);
     seconds = std::min(seconds, UserSeconds() - begin);
   }
   Row row;
-  MeasureErrors(planes, out, truth, &row);
-  MeasureIntervals(out, truth, &row);
-  MeasureHarm(planes, out, truth, &row);
+  MeasureErrors(input.planes, out, input.truth, &row);
+  MeasureIntervals(out, input.truth, &row);
+  MeasureHarm(input.planes, out, input.truth, &row);
   std::printf("%-18s %9.1f %8.2f %8.2f  %5.2f  %5.1f %5.2f  %3d/%-4d %5.2f  %6.2f\n",
-              std::filesystem::path(parts[0]).stem().c_str(), 1e5 * row.raw, 1e5 * row.rel_mse,
-              1e5 * row.trimmed, std::sqrt(std::max(row.rel_mse, 0.0) / row.promised),
-              100 * row.coverage, row.width, row.num_harmed, row.num_blocks, row.worst_block,
-              1e6 * seconds / static_cast<double>(planes.samples.size()));
-  if (options.update) MeasureUpdate(planes, denoiser);
+              input.name.c_str(), 1e5 * row.raw, 1e5 * row.rel_mse, 1e5 * row.trimmed,
+              std::sqrt(std::max(row.rel_mse, 0.0) / row.promised), 100 * row.coverage, row.width,
+              row.num_harmed, row.num_blocks, row.worst_block,
+              1e6 * seconds / static_cast<double>(input.planes.samples.size()));
+  if (options.update) MeasureUpdate(input.planes, denoiser);
   std::fflush(stdout);
+}
+
+// relMSE, plain and trimmed.
+std::array<double, 2> Errors(const Options& options, const Denoiser& denoiser, const Input& input) {
+  Row row;
+  MeasureErrors(input.planes,
+                DenoiseFrame(denoiser, input.planes, DenoiseQuality::kFinal, options.threads),
+                input.truth, &row);
+  return {row.rel_mse, row.trimmed};
+}
+
+// What half and twice each constant change on each input, in percent: of relMSE, in brackets of
+// trimmed relMSE.
+void PrintSensitivity(const Options& options, const std::vector<Input>& inputs,
+                      Denoiser* denoiser) {
+  std::printf("| constant | value |");
+  for (const Input& input : inputs) std::printf(" %s |", input.name.c_str());
+  std::printf("\n|---|---|");
+  std::vector<std::array<double, 2>> before;
+  for (const Input& input : inputs) {
+    std::printf("---|");
+    before.push_back(Errors(options, *denoiser, input));
+  }
+  std::printf("\n");
+  for (const DenoiserOption& option : denoiser->options()) {
+    for (const float factor : {0.5f, 2.0f}) {
+      const float value = std::clamp(factor * option.value, option.min, option.max);
+      if (!denoiser->SetOption(option.name, value).ok()) continue;
+      std::printf("| %s | %g instead of %g |", option.name.c_str(), double{value},
+                  double{option.value});
+      for (size_t i = 0; i < inputs.size(); ++i) {
+        const std::array<double, 2> now = Errors(options, *denoiser, inputs[i]);
+        std::printf(" %+.1f (%+.1f) |", 100 * (now[0] / before[i][0] - 1),
+                    100 * (now[1] / before[i][1] - 1));
+      }
+      std::printf("\n");
+      std::fflush(stdout);
+    }
+    if (!denoiser->SetOption(option.name, option.value).ok()) return;
+  }
+}
+
+absl::Status SetConstants(const std::vector<std::string>& constants, Denoiser* denoiser) {
+  for (const std::string& text : constants) {
+    const std::vector<std::string> parts = absl::StrSplit(text, absl::MaxSplits('=', 1));
+    float value = 0;
+    if (parts.size() != 2 || !absl::SimpleAtof(parts[1], &value)) {
+      return absl::InvalidArgumentError(text + ": must be OPTION=VALUE");
+    }
+    const absl::Status set = denoiser->SetOption(parts[0], value);
+    if (!set.ok()) return set;
+  }
+  return absl::OkStatus();
+}
+
+// Errors: of the inputs, of the filter's name or options.
+absl::Status Run(const Options& options) {
+  const absl::StatusOr<std::unique_ptr<Denoiser>> denoiser =
+      MakeDenoiser(options.denoiser.empty() ? DenoiserNames().front() : options.denoiser);
+  if (!denoiser.ok()) return denoiser.status();
+  const absl::Status set = SetConstants(options.constants, denoiser->get());
+  if (!set.ok()) return set;
+  std::vector<Input> inputs;
+  for (const std::string& text : options.inputs) {
+    absl::StatusOr<Input> input = ReadInput(text);
+    if (!input.ok()) return input.status();
+    inputs.push_back(*std::move(input));
+  }
+  if (options.sensitivity) {
+    PrintSensitivity(options, inputs, denoiser->get());
+    return absl::OkStatus();
+  }
+  std::printf("%-18s %9s %8s %8s  %5s  %5s %5s  %8s %5s  %6s\n", "relMSE x 1e5", "raw", "filter",
+              "trimmed", "t/p", "cover", "width", "harmed", "worst", "us/px");
+  for (const Input& input : inputs) Measure(options, **denoiser, input);
   return absl::OkStatus();
 }
 
@@ -337,20 +410,13 @@ int main(int argc, char** argv) {
   app.add_option("--threads", options.threads);
   app.add_option("--repeat", options.repeat, "The fastest counts");
   app.add_flag("--update", options.update, "The cost of news in one tile");
+  app.add_option("--set", options.constants, "OPTION=VALUE of the filter")
+      ->take_all()
+      ->allow_extra_args(false);
+  app.add_flag("--sensitivity", options.sensitivity, "What half and twice each constant change");
   CLI11_PARSE(app, argc, argv);
-  const auto denoiser = tessera::MakeDenoiser(
-      options.denoiser.empty() ? tessera::DenoiserNames().front() : options.denoiser);
-  if (!denoiser.ok()) {
-    std::fprintf(stderr, "%s\n", denoiser.status().ToString().c_str());
-    return 2;
-  }
-  std::printf("%-18s %9s %8s %8s  %5s  %5s %5s  %8s %5s  %6s\n", "relMSE x 1e5", "raw", "filter",
-              "trimmed", "t/p", "cover", "width", "harmed", "worst", "us/px");
-  for (const std::string& input : options.inputs) {
-    const absl::Status status = tessera::Measure(options, **denoiser, input);
-    if (!status.ok()) {
-      std::fprintf(stderr, "%s\n", status.ToString().c_str());
-      return 2;
-    }
-  }
+  const absl::Status status = tessera::Run(options);
+  if (status.ok()) return 0;
+  std::fprintf(stderr, "%s\n", status.ToString().c_str());
+  return 2;
 }

@@ -27,4 +27,13 @@ inline Float8 Falloff(Float8 x) {
   return fourth * fourth;
 }
 
+// (1 - x / 2^squarings)^(2^squarings), the same for another end.
+inline Float8 Falloff(Float8 x, int squarings) {
+  const Float8 zero = {};
+  const float scale = 1.0f / static_cast<float>(1 << squarings);
+  Float8 power = Max8(1.0f - Max8(x, zero) * scale, zero);
+  for (int i = 0; i < squarings; ++i) power *= power;
+  return power;
+}
+
 }  // namespace tessera

@@ -9,9 +9,7 @@
 namespace tessera {
 namespace {
 
-constexpr int kWindowRadiusPx = 2;
-constexpr int kPatchRadiusPx = 1;
-static_assert(kWindowRadiusPx + kPatchRadiusPx == kPrefilterRadiusPx);
+constexpr int kPatchRadiusPx = kPrefilterPatchRadiusPx;
 
 // Planes that share their weights.
 struct Group {
@@ -59,14 +57,16 @@ void AddWeighted(int num_pixels, const float* weight, const float* value, const 
 // three rows, so that a row's are found once.
 class GroupFilter {
  public:
-  GroupFilter(const RawFeatures& input, const Group& group, SmoothFeatures* out)
+  GroupFilter(const RawFeatures& input, const Group& group, int radius_px, SmoothFeatures* out)
       : in_(input),
         group_(group),
+        radius_px_(radius_px),
         out_(*out),
         width_(out->bounds.width()),
         stride_(static_cast<size_t>(width_ + 2 * kPatchRadiusPx)),
         scale_(1.0f / static_cast<float>(9 * (group.end - group.begin))),
-        distance_(kNumOffsets * kNumRows * stride_),
+        distance_(static_cast<size_t>((2 * radius_px + 1) * (2 * radius_px + 1)) * kNumRows *
+                  stride_),
         weight_(static_cast<size_t>(width_)),
         weight_sum_(static_cast<size_t>(width_)) {}
 
@@ -77,8 +77,8 @@ class GroupFilter {
       const bool is_complete = done >= bounds.y_begin;
       std::ranges::fill(weight_sum_, 0.0f);
       size_t offset = 0;
-      for (int dy = -kWindowRadiusPx; dy <= kWindowRadiusPx; ++dy) {
-        for (int dx = -kWindowRadiusPx; dx <= kWindowRadiusPx; ++dx, ++offset) {
+      for (int dy = -radius_px_; dy <= radius_px_; ++dy) {
+        for (int dx = -radius_px_; dx <= radius_px_; ++dx, ++offset) {
           const int64_t shift = int64_t{dy} * in_.bounds.width() + dx;
           SetDistances(y, shift, offset);
           if (is_complete) AddNeighbours(done, shift, offset);
@@ -90,8 +90,6 @@ class GroupFilter {
 
  private:
   static constexpr size_t kNumRows = 2 * kPatchRadiusPx + 1;
-  static constexpr size_t kNumOffsets =
-      (2 * kWindowRadiusPx + 1) * static_cast<size_t>(2 * kWindowRadiusPx + 1);
 
   int64_t InputIndex(int x, int y) const { return in_.bounds.IndexOf(x, y); }
   // The distances of row y, from a pixel left of the output on.
@@ -138,6 +136,7 @@ class GroupFilter {
 
   const RawFeatures& in_;
   const Group group_;
+  const int radius_px_;
   SmoothFeatures& out_;
   const int width_;
   const size_t stride_;
@@ -148,8 +147,8 @@ class GroupFilter {
 
 }  // namespace
 
-SmoothFeatures PrefilterFeatures(const RawFeatures& raw, const PixelRect& bounds) {
-  TESSERA_CHECK(raw.bounds.Contains(bounds.Expand(kPrefilterRadiusPx)));
+SmoothFeatures PrefilterFeatures(const RawFeatures& raw, const PixelRect& bounds, int radius_px) {
+  TESSERA_CHECK(raw.bounds.Contains(bounds.Expand(radius_px + kPatchRadiusPx)));
   SmoothFeatures out;
   out.bounds = bounds;
   for (size_t k = 0; k < kNumFeatures; ++k) {
@@ -157,7 +156,7 @@ SmoothFeatures PrefilterFeatures(const RawFeatures& raw, const PixelRect& bounds
     out.variance[k].resize(SlackArea(bounds));
   }
   for (const Group& group : kGroups) {
-    GroupFilter(raw, group, &out).Filter();
+    GroupFilter(raw, group, radius_px, &out).Filter();
   }
   return out;
 }

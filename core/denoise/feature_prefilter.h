@@ -9,8 +9,8 @@
 
 namespace tessera {
 
-// How far from a pixel features are read: a window of radius 2 of patches of radius 1.
-inline constexpr int kPrefilterRadiusPx = 3;
+// Patches have a radius of 1; so far beyond the window are features read.
+inline constexpr int kPrefilterPatchRadiusPx = 1;
 
 struct SmoothFeatures {
   PixelRect bounds;                           // as RegressionInput
@@ -18,8 +18,9 @@ struct SmoothFeatures {
   std::array<Plane, kNumFeatures> variance;  // what the averaging leaves of the noise
 };
 
-// Filters over `bounds`; raw.bounds must reach kPrefilterRadiusPx further. Albedo, normal and
-// depth each have their own weights. Pixels that are not known keep their values.
-SmoothFeatures PrefilterFeatures(const RawFeatures& raw, const PixelRect& bounds);
+// Filters over `bounds` with windows of (2 radius_px + 1)^2; raw.bounds must reach radius_px +
+// kPrefilterPatchRadiusPx further. Albedo, normal and depth each have their own weights. Pixels
+// that are not known keep their values.
+SmoothFeatures PrefilterFeatures(const RawFeatures& raw, const PixelRect& bounds, int radius_px);
 
 }  // namespace tessera

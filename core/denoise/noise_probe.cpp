@@ -8,10 +8,6 @@
 namespace tessera {
 namespace {
 
-// In standard deviations: small against the noise, that the filter's response is about linear, and
-// large against rounding. The estimate does not depend on it where the filter is differentiable.
-constexpr float kStep = 0.1f;
-
 // 1 or -1, for each pixel and half by itself. Finaliser of MurmurHash3 (Appleby 2011).
 float Sign(int x, int y, uint32_t half) {
   uint32_t h = static_cast<uint32_t>(x) * 0x9e3779b1u ^ static_cast<uint32_t>(y) * 0x85ebca77u ^
@@ -26,7 +22,7 @@ float Sign(int x, int y, uint32_t half) {
 
 }  // namespace
 
-void Probe(RegressionInput* input) {
+void Probe(float step, RegressionInput* input) {
   const PixelRect& bounds = input->bounds;
   size_t i = 0;
   for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
@@ -34,9 +30,9 @@ void Probe(RegressionInput* input) {
       if (input->known[i] == 0) continue;
       const float shares[] = {input->share_a[i], 1.0f - input->share_a[i]};
       for (uint32_t half = 0; half < kNumHalves; ++half) {
-        const float step = kStep * Sign(x, y, half);
+        const float move = step * Sign(x, y, half);
         for (size_t c = 0; c < 3; ++c) {
-          input->color[half][c][i] += step * std::sqrt(input->variance[c][i] / shares[half]);
+          input->color[half][c][i] += move * std::sqrt(input->variance[c][i] / shares[half]);
         }
       }
     }
@@ -44,7 +40,8 @@ void Probe(RegressionInput* input) {
 }
 
 Planes3 NoiseCovariance(const RegressionInput& input, const RegressionInput& probed,
-                        const BlendedPicture& picture, const BlendedPicture& probed_picture) {
+                        const BlendedPicture& picture, const BlendedPicture& probed_picture,
+                        float step) {
   const PixelRect& bounds = picture.bounds;
   TESSERA_CHECK(probed_picture.bounds == bounds && input.bounds.Contains(bounds));
   Planes3 covariance;
@@ -58,7 +55,7 @@ Planes3 NoiseCovariance(const RegressionInput& input, const RegressionInput& pro
         const float moved = share_a * (probed.color[0][c][p] - input.color[0][c][p]) +
                             (1.0f - share_a) * (probed.color[1][c][p] - input.color[1][c][p]);
         const float response = probed_picture.color[c][i] - picture.color[c][i];
-        covariance[c][i] = moved * response * (1.0f / (kStep * kStep));
+        covariance[c][i] = moved * response * (1.0f / (step * step));
       }
     }
   }

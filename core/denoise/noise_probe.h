@@ -11,14 +11,15 @@
 
 namespace tessera {
 
-// Moves each half of `input` by a tenth of its standard deviation, up or down by a hash of pixel
+// Moves each half of `input` by `step` of its standard deviations, up or down by a hash of pixel
 // and half, all channels alike as the noise of samples mostly is.
-void Probe(RegressionInput* input);
+void Probe(float step, RegressionInput* input);
 
 // The covariance of the filtered colour with the noise of the raw mean, for each channel and pixel
 // of picture.bounds (the same as probed_picture's): unbiased, but one probe's, so noisy. `picture`
-// is the filter's result from `input`, `probed_picture` that from `probed`.
+// is the filter's result from `input`, `probed_picture` that from `probed`, moved by `step`.
 Planes3 NoiseCovariance(const RegressionInput& input, const RegressionInput& probed,
-                        const BlendedPicture& picture, const BlendedPicture& probed_picture);
+                        const BlendedPicture& picture, const BlendedPicture& probed_picture,
+                        float step);
 
 }  // namespace tessera

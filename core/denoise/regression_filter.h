@@ -4,6 +4,7 @@
 #pragma once
 
 #include "core/denoise/denoiser.h"
+#include "core/denoise/regression_settings.h"
 
 namespace tessera {
 
@@ -13,8 +14,8 @@ namespace tessera {
 // bilateral filter's, a tenth of the time.
 //
 // Error: 1.96 times the root of the mean squared error, noise and bias, by Stein's estimate with a
-// random probe, pooled over 9x9 pixels, and at least of the noise by which the filtered halves
-// differ. +inf where a pixel has fewer than two samples.
+// random probe, and at least of the noise by which the filtered halves differ: as a part of the raw
+// mean's variance, pooled over 19x19 pixels. +inf where a pixel has fewer than two samples.
 //
 // Pixels with fewer than two samples keep their raw mean and lend nothing to others; pixels beyond
 // 2^40 keep theirs. No filtered value is negative: radiance is not.
@@ -26,6 +27,13 @@ class RegressionFilter final : public Denoiser {
               FilteredPlanes* out) const override;
   std::unique_ptr<FrameFilter> MakeFrameFilter(const FrameParameters& parameters,
                                                const PixelRect& bounds) const override;
+  // Its constants, to see what they are worth.
+  std::vector<DenoiserOption> options() const override;
+
+ private:
+  void SetOptionAt(size_t index, float value) override;
+
+  RegressionSettings settings_;
 };
 
 }  // namespace tessera

@@ -13,30 +13,6 @@
 namespace tessera {
 namespace {
 
-constexpr int kWindowRadiusPx = 9;
-constexpr int kLatticeStepPx = 5;
-// The pilot's variance is averaged over (2 r + 1)^2 pixels.
-constexpr int kPilotVarianceRadiusPx = 2;
-constexpr int kCrossPatchRadiusPx = 1;
-
-// The second pass compares patches of the pilot, in units of its variance plus this share of the
-// raw mean's, which stands for the pilot's bias.
-constexpr float kRawShare = 0.2f;
-constexpr int kPilotPatchRadiusPx = 1;
-
-// What each stage reads of those before it, pixels around what it makes.
-constexpr int kPassReachPx = PassReachPx(kWindowRadiusPx);
-constexpr int kCrossInputPx = kPassReachPx + kCrossPatchRadiusPx;
-constexpr int kPilotReachPx = kPassReachPx + kPilotPatchRadiusPx;
-constexpr int kFirstOfSecondPx = kPilotReachPx + kPilotVarianceRadiusPx;
-
-// How far news in the planes reach into each stage.
-constexpr int kFeatureNewsPx = kPrefilterRadiusPx;
-constexpr int kFirstNewsPx =
-    std::max(kCrossInputPx + kVarianceRadiusPx, kPassReachPx + kFeatureNewsPx);
-constexpr int kSecondNewsPx = kFirstOfSecondPx + kFirstNewsPx;
-static_assert(RegressionFrame::kReachPx == kPictureReachPx + kSecondNewsPx);
-
 // Sides of what is made at once: large against what is read around it, small against the memory of
 // its scratch (some 200 bytes a pixel).
 constexpr int kFeaturePartPx = 256;
@@ -75,8 +51,10 @@ void Keep(const PassOutput& made, PassOutput* kept) {
   }
 }
 
-// The pilot over `bounds`, from the first pass `kPilotVarianceRadiusPx` further.
-Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const PixelRect& bounds) {
+// The pilot over `bounds`, from the first pass pilot_radius_px further.
+Pilot MakePilot(const RegressionInput& input, const PassOutput& first,
+                const RegressionSettings& settings, const PixelRect& bounds) {
+  const int radius_px = settings.pilot_radius_px;
   Pilot pilot;
   pilot.bounds = bounds;
   const PixelRect& read = first.bounds;
@@ -98,16 +76,16 @@ Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const Pix
         const float a = first.color[0][c][i];
         const float b = first.color[1][c][i];
         variance[c][i] =
-            share_a * share_b * ((a - b) * (a - b)) + kRawShare * input.variance[c][p];
+            share_a * share_b * ((a - b) * (a - b)) + settings.raw_share * input.variance[c][p];
         if (bounds.Contains(x, y)) {
           pilot.color[c][static_cast<size_t>(bounds.IndexOf(x, y))] = share_a * a + share_b * b;
         }
       }
     }
   }
-  const Plane count = BoxSum(known, read, kPilotVarianceRadiusPx, bounds, kRowSlackPx);
+  const Plane count = BoxSum(known, read, radius_px, bounds, kRowSlackPx);
   for (size_t c = 0; c < 3; ++c) {
-    pilot.variance[c] = BoxSum(variance[c], read, kPilotVarianceRadiusPx, bounds, kRowSlackPx);
+    pilot.variance[c] = BoxSum(variance[c], read, radius_px, bounds, kRowSlackPx);
     for (size_t k = 0; k < count.size(); ++k) {
       pilot.variance[c][k] =
           count[k] > 0 ? std::max(pilot.variance[c][k] / count[k], 1e-30f) : 1.0f;
@@ -118,10 +96,16 @@ Pilot MakePilot(const RegressionInput& input, const PassOutput& first, const Pix
 
 }  // namespace
 
-RegressionFrame::RegressionFrame(const PixelRect& frame, const PixelRect& bounds)
-    : frame_(frame), bounds_(bounds.Intersect(frame)), stale_(kNumStages, StaleMask(bounds_)) {}
+RegressionFrame::RegressionFrame(const RegressionSettings& settings, const PixelRect& frame,
+                                 const PixelRect& bounds)
+    : settings_(settings),
+      frame_(frame),
+      bounds_(bounds.Intersect(frame)),
+      stale_(kNumStages, StaleMask(bounds_)) {}
 
-int RegressionFrame::reach_px() const { return std::max(kReachPx, kCalibrationRadiusPx); }
+int RegressionFrame::reach_px() const {
+  return std::max(settings_.reach_px(), kCalibrationRadiusPx);
+}
 
 int64_t RegressionFrame::kept_bytes() const {
   int64_t bytes = 0;
@@ -156,9 +140,9 @@ void RegressionFrame::Allocate() {
 }
 
 void RegressionFrame::Invalidate(const PixelRect& changed) {
-  stale_[kFeatures].Mark(changed.Expand(kFeatureNewsPx));
-  stale_[kFirst].Mark(changed.Expand(kFirstNewsPx));
-  stale_[kSecond].Mark(changed.Expand(kSecondNewsPx));
+  stale_[kFeatures].Mark(changed.Expand(settings_.feature_news_px()));
+  stale_[kFirst].Mark(changed.Expand(settings_.first_news_px()));
+  stale_[kSecond].Mark(changed.Expand(settings_.second_news_px()));
 }
 
 void RegressionFrame::Filter(const FramePlanes& planes, std::span<const PixelRect> windows,
@@ -169,14 +153,16 @@ void RegressionFrame::Filter(const FramePlanes& planes, std::span<const PixelRec
     int part_px;
     int border_px;  // that a part costs beside itself
   };
-  constexpr int kFirstPx = kPictureReachPx + kFirstOfSecondPx;
-  constexpr int kSumsPx = kPassReachPx - kWindowRadiusPx;
-  constexpr std::array<Plan, kNumStages> kPlans = {
-      Plan{kFirstPx + kPassReachPx, kFeaturePartPx, kPrefilterRadiusPx},
-      Plan{kFirstPx, kPassPartPx, kSumsPx}, Plan{kPictureReachPx, kPassPartPx, kSumsPx}};
+  const int second_px = settings_.picture_reach_px();
+  const int first_px = second_px + settings_.first_of_second_px();
+  const int features_px = first_px + settings_.pass_reach_px();
+  const int sums_px = settings_.pass_reach_px() - settings_.window_radius_px;
+  const std::array<Plan, kNumStages> plans = {
+      Plan{features_px, kFeaturePartPx, settings_.feature_news_px()},
+      Plan{first_px, kPassPartPx, sums_px}, Plan{second_px, kPassPartPx, sums_px}};
   Allocate();
   for (size_t stage = 0; stage < kNumStages; ++stage) {
-    const Plan& plan = kPlans[stage];
+    const Plan& plan = plans[stage];
     std::vector<PixelRect> parts;
     for (const PixelRect& window : windows) {
       const PixelRect read = window.Expand(plan.around_px).Intersect(frame_);
@@ -199,8 +185,8 @@ void RegressionFrame::Make(Stage stage, const FramePlanes& planes, const PixelRe
 }
 
 void RegressionFrame::MakeFeatures(const FramePlanes& planes, const PixelRect& rect) {
-  const RawFeatures raw(rect.Expand(kPrefilterRadiusPx), frame_, planes);
-  const SmoothFeatures made = PrefilterFeatures(raw, rect);
+  const RawFeatures raw(rect.Expand(settings_.feature_news_px()), frame_, planes);
+  const SmoothFeatures made = PrefilterFeatures(raw, rect, settings_.prefilter_radius_px);
   for (size_t k = 0; k < kNumFeatures; ++k) {
     Copy(rect, made.value[k], rect, bounds_, &features_.value[k]);
     Copy(rect, made.variance[k], rect, bounds_, &features_.variance[k]);
@@ -220,35 +206,33 @@ SmoothFeatures RegressionFrame::FeaturesOver(const PixelRect& rect) const {
 }
 
 void RegressionFrame::MakeFirst(const FramePlanes& planes, const PixelRect& rect) {
-  const SmoothFeatures features = FeaturesOver(rect.Expand(kPassReachPx));
-  RegressionInput input(rect.Expand(kCrossInputPx), frame_, planes);
+  const SmoothFeatures features = FeaturesOver(rect.Expand(settings_.pass_reach_px()));
+  RegressionInput input(rect.Expand(settings_.pass_reach_px() + 1), frame_, planes);
   for (size_t run = 0; run < kNumRuns; ++run) {
-    if (run == 1) Probe(&input);
-    Keep(RunCrossPass(input, features, {frame_, rect, kWindowRadiusPx, kLatticeStepPx}),
-         &first_[run]);
+    if (run == 1) Probe(settings_.probe_step, &input);
+    Keep(RunCrossPass(input, features, {frame_, rect, settings_}), &first_[run]);
   }
 }
 
 void RegressionFrame::MakeSecond(const FramePlanes& planes, const PixelRect& rect) {
-  const SmoothFeatures features = FeaturesOver(rect.Expand(kPassReachPx));
-  RegressionInput input(rect.Expand(kFirstOfSecondPx), frame_, planes);
+  const SmoothFeatures features = FeaturesOver(rect.Expand(settings_.pass_reach_px()));
+  RegressionInput input(rect.Expand(settings_.first_of_second_px()), frame_, planes);
   for (size_t run = 0; run < kNumRuns; ++run) {
-    if (run == 1) Probe(&input);
+    if (run == 1) Probe(settings_.probe_step, &input);
     const Pilot pilot =
-        MakePilot(input, Part(first_[run], input.bounds), rect.Expand(kPilotReachPx));
-    Keep(RunPilotPass(input, features, pilot, kPilotPatchRadiusPx,
-                      {frame_, rect, kWindowRadiusPx, kLatticeStepPx}),
-         &second_[run]);
+        MakePilot(input, Part(first_[run], input.bounds), settings_,
+                  rect.Expand(settings_.pass_reach_px() + 1));
+    Keep(RunPilotPass(input, features, pilot, 1, {frame_, rect, settings_}), &second_[run]);
   }
 }
 
 FilteredPlanes RegressionFrame::Finish(const FramePlanes& planes, const PixelRect& window) const {
-  const PixelRect read = window.Expand(kPictureReachPx);
+  const PixelRect read = window.Expand(settings_.picture_reach_px());
   std::array<Candidates, kNumRuns> candidates;
   for (size_t run = 0; run < kNumRuns; ++run) {
     candidates[run] = {Part(first_[run], read), Part(second_[run], read)};
   }
-  return BlendAndJudge(planes, frame_, candidates[0], candidates[1], window);
+  return BlendAndJudge(planes, frame_, candidates[0], candidates[1], window, settings_);
 }
 
 }  // namespace tessera

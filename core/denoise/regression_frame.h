@@ -19,12 +19,10 @@ using PassPair = std::array<PassOutput, kNumRuns>;
 
 class RegressionFrame final : public FrameFilter {
  public:
-  // Pixels around a window that a filter of it reads, and that news reach.
-  static constexpr int kReachPx = 64;
-
   // Keeps planes over what of `bounds` lies in `frame`: at least each window that is to be filtered
-  // expanded by kReachPx and cut at the frame.
-  RegressionFrame(const PixelRect& frame, const PixelRect& bounds);
+  // expanded by settings.reach_px() and cut at the frame.
+  RegressionFrame(const RegressionSettings& settings, const PixelRect& frame,
+                  const PixelRect& bounds);
 
   int reach_px() const override;
   void Invalidate(const PixelRect& changed) override;
@@ -46,6 +44,7 @@ class RegressionFrame final : public FrameFilter {
   // The kept features over `rect`, zero where there are none.
   SmoothFeatures FeaturesOver(const PixelRect& rect) const;
 
+  const RegressionSettings settings_;
   const PixelRect frame_;
   const PixelRect bounds_;  // all that is kept is row-major over it, empty before it is needed
   SmoothFeatures features_;

@@ -27,11 +27,11 @@ class Accumulator {
   Plane* sum(size_t half, size_t channel) { return &sums_[half][channel]; }
   Plane* weight_sum(size_t half) { return &weight_sums_[half % weight_sums_.size()]; }
 
-  // Whether some half's pixel has got less than the weight of one pixel.
-  bool IsThin(int x, int y) const {
+  // Whether some half's pixel has got less weight.
+  bool IsThin(int x, int y, float weight) const {
     const auto i = static_cast<size_t>(bounds_.IndexOf(x, y));
     for (const Plane& plane : weight_sums_) {
-      if (plane[i] < 1.0f) return true;
+      if (plane[i] < weight) return true;
     }
     return false;
   }
@@ -72,9 +72,11 @@ void VisitCentres(const RegressionInput& input, const PassSettings& settings,
   const auto is_known = [&](int x, int y) {
     return input.known[static_cast<size_t>(input.bounds.IndexOf(x, y))] > 0;
   };
-  const int step = settings.lattice_step_px;
-  const int radius = settings.window_radius_px;
-  int reach = static_cast<int>(kOnDemandStepsPx.size()) * kOnDemandReachPx;
+  const RegressionSettings& constants = settings.constants;
+  const int step = constants.lattice_step_px;
+  const int radius = constants.window_radius_px;
+  constexpr std::array<int, 2> kOnDemandStepsPx = {2, 1};
+  int reach = static_cast<int>(kOnDemandStepsPx.size()) * constants.on_demand_reach_px;
   const PixelRect centres = settings.bounds.Expand(reach + radius).Intersect(settings.frame);
   for (int y = centres.y_begin; y < centres.y_end; ++y) {
     if (Modulo(y, step) != step / 2) continue;
@@ -89,13 +91,14 @@ void VisitCentres(const RegressionInput& input, const PassSettings& settings,
     for (int y = wanted.y_begin; y < wanted.y_end; ++y) {
       if (Modulo(y, thin_step) != 0) continue;
       for (int x = wanted.x_begin; x < wanted.x_end; ++x) {
-        if (Modulo(x, thin_step) == 0 && is_known(x, y) && sums.IsThin(x, y)) {
+        if (Modulo(x, thin_step) == 0 && is_known(x, y) &&
+            sums.IsThin(x, y, constants.thin_weight)) {
           thin.emplace_back(x, y);
         }
       }
     }
-    for (const auto& [x, y] : thin) fit(x, y, kOnDemandReachPx);
-    reach -= kOnDemandReachPx;
+    for (const auto& [x, y] : thin) fit(x, y, constants.on_demand_reach_px);
+    reach -= constants.on_demand_reach_px;
   }
 }
 
@@ -106,7 +109,7 @@ float Kept(float energy, float noise) { return energy > noise ? 1.0f - noise / e
 
 PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
                         const PassSettings& settings) {
-  const PixelRect reached = settings.bounds.Expand(PassReachPx(settings.window_radius_px));
+  const PixelRect reached = settings.bounds.Expand(settings.constants.pass_reach_px());
   TESSERA_CHECK(features.bounds.Contains(reached) && input.bounds.Contains(reached.Expand(1)));
   Planes3 variance = input.variance;  // of one half's mean
   for (Plane& plane : variance) {
@@ -115,7 +118,7 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
   // Half A's weights come from half B.
   const Guide guide{input.bounds, &input.known, {&input.color[1], &input.color[0]}, 2, &variance,
                     &input.variance_sum, input.bounds};
-  WindowWeights weights(settings.window_radius_px);
+  WindowWeights weights(settings.constants.window_radius_px, settings.constants.weights);
   WindowFit fit;
   Accumulator sums(reached, kNumHalves);
   VisitCentres(input, settings, sums, [&](int x, int y, int reach_px) {
@@ -140,7 +143,7 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
 
 PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
                         const Pilot& pilot, int patch_radius_px, const PassSettings& settings) {
-  const PixelRect reached = settings.bounds.Expand(PassReachPx(settings.window_radius_px));
+  const PixelRect reached = settings.bounds.Expand(settings.constants.pass_reach_px());
   TESSERA_CHECK(features.bounds.Contains(reached) && input.bounds.Contains(reached) &&
                 pilot.bounds.Contains(reached.Expand(patch_radius_px)));
   Plane known(SlackArea(pilot.bounds));
@@ -151,7 +154,7 @@ PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& feat
   }
   const Guide guide{pilot.bounds,         &known, {&pilot.color}, 1, &pilot.variance,
                     &input.variance_sum, input.bounds};
-  WindowWeights weights(settings.window_radius_px);
+  WindowWeights weights(settings.constants.window_radius_px, settings.constants.weights);
   WindowFit fit;
   Accumulator sums(reached, 1);
   const std::array<Planes3, kNumHalves>& color = input.color;

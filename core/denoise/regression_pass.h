@@ -5,15 +5,10 @@
 
 #include "core/denoise/feature_prefilter.h"
 #include "core/denoise/regression_input.h"
+#include "core/denoise/regression_settings.h"
 #include "core/denoise/window_fit.h"
 
 namespace tessera {
-
-// Pixels whose weights from the lattice's centres add up to less than one pixel's own weight become
-// centres themselves and predict the pixels this far around them: first those of every second row
-// and column, then what these have left.
-inline constexpr int kOnDemandReachPx = 3;
-inline constexpr std::array<int, 2> kOnDemandStepsPx = {2, 1};
 
 // Each half filtered by itself, row-major over `bounds`, SlackArea long.
 struct PassOutput {
@@ -21,22 +16,19 @@ struct PassOutput {
   std::array<Planes3, kNumHalves> color;
 };
 
+// Pixels whose weights from the lattice's centres add up to less than one pixel's own weight become
+// centres themselves and predict the pixels on_demand_reach_px around them: first those of every
+// second row and column, then what these have left.
 struct PassSettings {
   PixelRect frame;
   PixelRect bounds;  // of the output
-  int window_radius_px;
-  int lattice_step_px;
+  RegressionSettings constants;
 };
-
-// Pixels around the output that a pass reads, but for the patches of its weights.
-inline constexpr int PassReachPx(int window_radius_px) {
-  return 2 * window_radius_px + static_cast<int>(kOnDemandStepsPx.size()) * kOnDemandReachPx;
-}
 
 // The first pass. Half A is fitted with weights from half B and the other way round, so that no
 // weight depends on the noise that it multiplies; patches are 3x3. Coefficients beyond the constant
 // are shrunk by the noise that the samples' variance lets expect.
-// features.bounds must reach PassReachPx beyond settings.bounds, input.bounds one pixel further.
+// features.bounds must reach pass_reach_px beyond settings.bounds, input.bounds one pixel further.
 PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
                         const PassSettings& settings);
 
@@ -49,7 +41,7 @@ struct Pilot {
 
 // A later pass. Both halves are fitted with the weights of one pilot, which costs half as much;
 // coefficients beyond the constant are shrunk by the noise that the halves show.
-// features.bounds must reach PassReachPx beyond settings.bounds, input.bounds and pilot.bounds
+// features.bounds must reach pass_reach_px beyond settings.bounds, input.bounds and pilot.bounds
 // patch_radius_px further.
 PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
                         const Pilot& pilot, int patch_radius_px, const PassSettings& settings);

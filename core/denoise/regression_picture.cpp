@@ -10,6 +10,9 @@
 namespace tessera {
 namespace {
 
+// "Near" a pixel, in its error: the 3x3 around it, the fewest whose mean is not one draw.
+constexpr int kNearRadiusPx = 1;
+
 // The picture over `pooled` and what is known of its error there.
 struct Filtered {
   BlendedPicture picture;
@@ -18,6 +21,7 @@ struct Filtered {
   // What tells how bright a pixel truly is: the halves' product, whose mean is the true square,
   // less the filtered square; and the variance of that product if the filtered value is true.
   Planes3 excess, excess_variance;
+  Planes3 variance;  // of the raw mean
   Plane known;  // 1 or 0; all planes are 0 where it is
 };
 
@@ -32,6 +36,7 @@ void CompareSquares(const RegressionInput& input, Filtered* filtered) {
   for (size_t c = 0; c < 3; ++c) {
     filtered->excess[c].resize(static_cast<size_t>(bounds.area()));
     filtered->excess_variance[c].resize(filtered->excess[c].size());
+    filtered->variance[c].resize(filtered->excess[c].size());
     size_t i = 0;
     for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
       auto p = static_cast<size_t>(input.bounds.IndexOf(bounds.x_begin, y));
@@ -40,6 +45,7 @@ void CompareSquares(const RegressionInput& input, Filtered* filtered) {
         const float value = filtered->picture.color[c][i];
         const float shares = input.share_a[p] * (1.0f - input.share_a[p]);
         const float variance = input.variance[c][p];
+        filtered->variance[c][i] = variance;
         filtered->excess[c][i] = input.color[0][c][p] * input.color[1][c][p] - value * value;
         // Of halves with the variances v / share_a and v / share_b.
         filtered->excess_variance[c][i] = variance * (value * value + variance) / shares;
@@ -51,15 +57,18 @@ void CompareSquares(const RegressionInput& input, Filtered* filtered) {
 // The estimate of the error has no bias but what features share with the noise.
 Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
                         const Candidates& candidates, const Candidates& probed_candidates,
-                        const PixelRect& inside) {
+                        const PixelRect& inside, const RegressionSettings& settings) {
+  const int radius_px = settings.risk_radius_px;
   Filtered filtered;
-  filtered.picture = BlendByRisk(input, frame, candidates, inside);
+  filtered.picture = BlendByRisk(input, frame, candidates, inside, radius_px);
   filtered.risk = filtered.picture.residual;
   CompareSquares(input, &filtered);
   RegressionInput probed = input;
-  Probe(&probed);
-  const BlendedPicture probed_picture = BlendByRisk(probed, frame, probed_candidates, inside);
-  const Planes3 covariance = NoiseCovariance(input, probed, filtered.picture, probed_picture);
+  Probe(settings.probe_step, &probed);
+  const BlendedPicture probed_picture =
+      BlendByRisk(probed, frame, probed_candidates, inside, radius_px);
+  const Planes3 covariance = NoiseCovariance(input, probed, filtered.picture, probed_picture,
+                                             settings.probe_step);
   for (size_t c = 0; c < 3; ++c) {
     for (size_t i = 0; i < filtered.risk[c].size(); ++i) {
       filtered.risk[c][i] += 2.0f * covariance[c][i];
@@ -68,18 +77,29 @@ Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
   return filtered;
 }
 
-// The sums of a filtered picture's errors around each pixel of a window.
+// The sums of a filtered picture's errors around each pixel of a window, and of the raw mean's
+// variance there and near.
 struct PooledErrors {
-  PooledErrors(const Filtered& filtered, const PixelRect& window) {
+  PooledErrors(const Filtered& filtered, const PixelRect& window, int radius_px) {
     const PixelRect& bounds = filtered.picture.bounds;
-    count = BoxSum(filtered.known, bounds, kRiskRadiusPx, window);
+    near_count = BoxSum(filtered.known, bounds, kNearRadiusPx, window);
     for (size_t c = 0; c < 3; ++c) {
-      risk[c] = BoxSum(filtered.risk[c], bounds, kRiskRadiusPx, window);
-      noise[c] = BoxSum(filtered.picture.noise[c], bounds, kRiskRadiusPx, window);
+      risk[c] = BoxSum(filtered.risk[c], bounds, radius_px, window);
+      noise[c] = BoxSum(filtered.picture.noise[c], bounds, radius_px, window);
+      variance[c] = BoxSum(filtered.variance[c], bounds, radius_px, window);
+      near[c] = BoxSum(filtered.variance[c], bounds, kNearRadiusPx, window);
     }
   }
-  Plane count;  // of known pixels
-  Planes3 risk, noise;
+  // The squared error that is left, as a part of the raw mean's: pooled widely, for single
+  // estimates are nearly all noise; times the variance of the pixels near, for pools mix quiet
+  // pixels with noisy ones.
+  float MeanSquaredError(size_t c, size_t w) const {
+    const float near_variance = near[c][w] / near_count[w];
+    return std::max(risk[c][w], noise[c][w]) / variance[c][w] * near_variance;
+  }
+
+  Plane near_count;  // of known pixels
+  Planes3 risk, noise, variance, near;
 };
 
 // The square of the true value of the known pixel (x, y), to weigh its error with: the filtered
@@ -113,8 +133,7 @@ void WritePixel(const Filtered& filtered, const PooledErrors& pooled, int x, int
   for (size_t c = 0; c < 3; ++c) {
     const float value = std::max(filtered.picture.color[c][i], 0.0f);
     out->color[c][to] = value;
-    out->error[c][to] =
-        HalfWidth95(std::max(pooled.risk[c][w], pooled.noise[c][w]) / pooled.count[w]);
+    out->error[c][to] = HalfWidth95(pooled.MeanSquaredError(c, w));
     const float scale = 1.0f / (TrueSquare(filtered, c, x, y) + kRelMseEpsilon);
     out->relative_error[to] += filtered.risk[c][i] * scale;
     out->relative_noise[to] += filtered.picture.noise[c][i] * scale;
@@ -136,11 +155,11 @@ void WriteRaw(const FramePlanes& planes, int x, int y, FilteredPlanes* out) {
 
 FilteredPlanes BlendAndJudge(const FramePlanes& planes, const PixelRect& frame,
                              const Candidates& candidates, const Candidates& probed,
-                             const PixelRect& window) {
-  const RegressionInput input(window.Expand(kPictureReachPx), frame, planes);
-  const PixelRect inside = window.Expand(kRiskRadiusPx).Intersect(frame);
-  const Filtered filtered = FilterAndJudge(input, frame, candidates, probed, inside);
-  const PooledErrors errors(filtered, window);
+                             const PixelRect& window, const RegressionSettings& settings) {
+  const RegressionInput input(window.Expand(settings.picture_reach_px()), frame, planes);
+  const PixelRect inside = window.Expand(settings.error_radius_px).Intersect(frame);
+  const Filtered filtered = FilterAndJudge(input, frame, candidates, probed, inside, settings);
+  const PooledErrors errors(filtered, window, settings.error_radius_px);
   FilteredPlanes out(window);
   size_t w = 0;
   for (int y = window.y_begin; y < window.y_end; ++y) {

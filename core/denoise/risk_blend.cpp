@@ -158,13 +158,12 @@ Weights Minimise(Matrix m, size_t n, float pull) {
 
 // The blend's weights of a pixel; all zero where the raw mean stays.
 Weights ChooseWeights(const std::vector<Plane>& pooled, float difference, float judges,
-                      float variance, size_t n, size_t i) {
+                      float pull, size_t n, size_t i) {
   Matrix m = {};
   for (size_t j = 0, at = 0; j < n; ++j) {
     for (size_t k = 0; k <= j; ++k, ++at) m[j][k] = m[k][j] = pooled[at][i];
   }
-  constexpr float kPull = 1.0f / static_cast<float>(2 * kRiskRadiusPx + 1);
-  Weights weights = Minimise(m, n, kPull * variance);
+  Weights weights = Minimise(m, n, pull);
   float risk = 0;
   for (size_t j = 0; j < n; ++j) {
     for (size_t k = 0; k < n; ++k) risk += weights[j] * weights[k] * m[j][k];
@@ -178,10 +177,11 @@ Weights ChooseWeights(const std::vector<Plane>& pooled, float difference, float 
 }  // namespace
 
 BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
-                           std::span<const PassOutput> candidates, const PixelRect& window) {
+                           std::span<const PassOutput> candidates, const PixelRect& window,
+                           int radius_px) {
   const size_t n = candidates.size();
   TESSERA_CHECK(n >= 1 && n <= kNumCandidatesMax);
-  Terms terms(window.Expand(kRiskRadiusPx).Intersect(frame), n);
+  Terms terms(window.Expand(radius_px).Intersect(frame), n);
   for (int y = terms.bounds.y_begin; y < terms.bounds.y_end; ++y) {
     switch (n) {
       case 1: SetTerms<1>(input, candidates, y, &terms); break;
@@ -192,11 +192,12 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
   }
   std::vector<Plane> pooled;
   for (const Plane& plane : terms.products) {
-    pooled.push_back(BoxSum(plane, terms.bounds, kRiskRadiusPx, window));
+    pooled.push_back(BoxSum(plane, terms.bounds, radius_px, window));
   }
-  const Plane difference = BoxSum(terms.difference, terms.bounds, kRiskRadiusPx, window);
-  const Plane judges = BoxSum(terms.judges, terms.bounds, kRiskRadiusPx, window);
-  const Plane variance = BoxSum(terms.variance, terms.bounds, kRiskRadiusPx, window);
+  const Plane difference = BoxSum(terms.difference, terms.bounds, radius_px, window);
+  const Plane judges = BoxSum(terms.judges, terms.bounds, radius_px, window);
+  const Plane variance = BoxSum(terms.variance, terms.bounds, radius_px, window);
+  const float pull = 1.0f / static_cast<float>(2 * radius_px + 1);
   BlendedPicture out;
   out.bounds = window;
   for (Planes3* planes : {&out.color, &out.residual, &out.noise}) {
@@ -209,7 +210,8 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
       if (input.known[p] == 0) continue;
       const float share_a = input.share_a[p];
       const float share_b = 1.0f - share_a;
-      const Weights weights = ChooseWeights(pooled, difference[i], judges[i], variance[i], n, i);
+      const Weights weights =
+          ChooseWeights(pooled, difference[i], judges[i], pull * variance[i], n, i);
       const bool is_raw = weights == Weights{};
       for (size_t c = 0; c < 3; ++c) {
         const float a = input.color[0][c][p];

@@ -8,14 +8,6 @@
 namespace tessera {
 namespace {
 
-// How much noisier than the centre a neighbour may be to be excused by its own noise (in
-// variance). A firefly differs from its neighbours by no more than its own noise, and would lend to
-// them all; measured, docs/denoiser.md.
-constexpr float kVarianceRatioMax = 4.0f;
-// By how much two estimates of one variance differ in one case of a thousand, from four samples
-// each, the fewest that are worth filtering: the logarithm of a normal variable's sample variance
-// has a variance of about 2 / (n - 1) (Bartlett & Kendall 1946), so exp(3.09 * 2 / sqrt(3)).
-constexpr float kLentRatioMax = 35.0f;
 // The centre's variance is taken from this far around it, as the pilot's is.
 constexpr int kCalmRadiusPx = 2;
 // The terms of a distance are at least -1, noise explaining all of no difference, but for
@@ -53,7 +45,7 @@ float CalmVariance(const Guide& guide, int x, int y) {
 // The planes of a guide, and the patch around its centre, pixel by pixel of kPatch x kPatch.
 template <int kNumValues, int kPatch>
 struct PatchGuide {
-  PatchGuide(const Guide& guide, int x, int y) : known(guide.known->data()) {
+  PatchGuide(const Guide& guide, float excuse_ratio, int x, int y) : known(guide.known->data()) {
     for (size_t c = 0; c < 3; ++c) {
       variance[c] = (*guide.variance)[c].data();
       for (size_t v = 0; v < kNumValues; ++v) value[v][c] = (*guide.values[v])[c].data();
@@ -66,7 +58,7 @@ struct PatchGuide {
         for (size_t c = 0; c < 3; ++c) {
           pixel.variance[c] = variance[c][p];
           pixel.twice_variance[c] = 2.0f * variance[c][p];
-          pixel.variance_max[c] = kVarianceRatioMax * variance[c][p];
+          pixel.variance_max[c] = excuse_ratio * variance[c][p];
           for (size_t v = 0; v < kNumValues; ++v) pixel.value[v][c] = value[v][c][p];
         }
       }
@@ -120,8 +112,9 @@ struct Distances {
 
 }  // namespace
 
-WindowWeights::WindowWeights(int radius_px)
+WindowWeights::WindowWeights(int radius_px, const WeightSettings& settings)
     : radius_px_(radius_px),
+      settings_(settings),
       num_row_vectors_((2 * radius_px + 1 + 7) / kFloat8Lanes),
       last_mask_(LaneMask(2 * radius_px + 1 - kFloat8Lanes * (num_row_vectors_ - 1))) {
   TESSERA_CHECK(radius_px >= kCalmRadiusPx && radius_px <= kWindowRadiusPxMax);
@@ -142,11 +135,12 @@ template <int kNumValues, int kPatchRadiusPx>
 void WindowWeights::SetAs(const Guide& guide) {
   constexpr int kPatch = 2 * kPatchRadiusPx + 1;
   constexpr float kNumTerms = 3.0f * kPatch * kPatch;
-  const PatchGuide<kNumValues, kPatch> patch(guide, x_, y_);
+  const PatchGuide<kNumValues, kPatch> patch(guide, settings_.excuse_ratio, x_, y_);
   const auto stride = static_cast<size_t>(guide.bounds.width());
+  const float far = kNumTerms * static_cast<float>(1 << settings_.falloff_squarings);
   num_vectors_ = 0;
   const float* const lent = guide.lent_variance->data() + At(guide.lent_bounds, x_, y_);
-  const float lent_max = kLentRatioMax * CalmVariance(guide, x_, y_);
+  const float lent_max = settings_.lent_ratio * CalmVariance(guide, x_, y_);
   for (int dy = -radius_px_; dy <= radius_px_; ++dy) {
     for (int j = 0; j < num_row_vectors_; ++j) {
       const int dx = kFloat8Lanes * j - radius_px_;
@@ -160,7 +154,7 @@ void WindowWeights::SetAs(const Guide& guide) {
           sums.Add(patch, patch.pixels[row * kPatch + column], first + static_cast<size_t>(column));
         }
         is_far = sums.IsFar(static_cast<float>(3 * kPatch * (kPatch - 1 - row)),
-                            kFalloffEnd * kNumTerms);
+                            far);
       }
       if (is_far) continue;
       const Float8 known = Load8(patch.known + centre) *
@@ -171,7 +165,7 @@ void WindowWeights::SetAs(const Guide& guide) {
       const auto to = static_cast<size_t>(num_vectors_);
       Float8 all = {};
       for (size_t v = 0; v < kNumValues; ++v) {
-        weights_[v][to] = share * Falloff(sums.distance[v] * scale);
+        weights_[v][to] = share * Falloff(sums.distance[v] * scale, settings_.falloff_squarings);
         all += weights_[v][to];
       }
       begin_x_[to] = dx;

@@ -8,13 +8,13 @@
 #include <span>
 
 #include "core/denoise/float8.h"
-#include "core/denoise/regression_input.h"
+#include "core/denoise/regression_settings.h"
 
 namespace tessera {
 
 // Windows are handled in vectors of eight pixels: row after row, the last vector of a row reaching
 // past the window's end, where weights are 0.
-inline constexpr int kWindowRadiusPxMax = 10;
+inline constexpr int kWindowRadiusPxMax = 14;
 inline constexpr int kWindowRowVectorsMax = (2 * kWindowRadiusPxMax + 1 + 7) / kFloat8Lanes;
 // One more, so that vectors can be handled in pairs.
 inline constexpr int kWindowVectorsMax = (2 * kWindowRadiusPxMax + 1) * kWindowRowVectorsMax + 1;
@@ -36,7 +36,7 @@ struct Guide {
 class WindowWeights {
  public:
   // radius_px: of the window, at most kWindowRadiusPxMax.
-  explicit WindowWeights(int radius_px);
+  explicit WindowWeights(int radius_px, const WeightSettings& settings = {});
 
   // Weighs the pixels around (x, y) by a falloff of the mean distance of their patches
   // (2 patch_radius_px + 1 wide, at most 3) to the centre's; 0 for pixels that are not known. A
@@ -67,6 +67,7 @@ class WindowWeights {
   void SetAs(const Guide& guide);
 
   const int radius_px_;
+  const WeightSettings settings_;
   const int num_row_vectors_;
   const Float8 last_mask_;  // 1 for the lanes of a row's last vector that lie in the window
   int x_ = 0, y_ = 0;

@@ -43,8 +43,8 @@ double SquaredError(const Plane& plane, const PixelRect& bounds) {
 
 TEST(PrefilterFeatures, LowersNoiseKeepsEdgesAndSaysWhatIsLeft) {
   const FramePlanes planes = NoisyFeatures();
-  const RawFeatures raw(kFrame.Expand(kPrefilterRadiusPx), kFrame, planes);
-  const SmoothFeatures smooth = PrefilterFeatures(raw, kFrame);
+  const RawFeatures raw(kFrame.Expand(2 + kPrefilterPatchRadiusPx), kFrame, planes);
+  const SmoothFeatures smooth = PrefilterFeatures(raw, kFrame, 2);
   const double error = SquaredError(smooth.value[0], smooth.bounds);
   EXPECT_LT(error, 0.25 * kNoise * kNoise);
   double left = 0;
@@ -66,8 +66,8 @@ TEST(PrefilterFeatures, UnknownPixelsLendNothing) {
   const auto hole = static_cast<size_t>(kFrame.IndexOf(20, 20));
   planes.samples[hole] = 0;
   for (size_t c = 0; c < 3; ++c) planes.albedo[c][hole] = 1e6f;
-  const RawFeatures raw(kFrame.Expand(kPrefilterRadiusPx), kFrame, planes);
-  const SmoothFeatures smooth = PrefilterFeatures(raw, kFrame);
+  const RawFeatures raw(kFrame.Expand(2 + kPrefilterPatchRadiusPx), kFrame, planes);
+  const SmoothFeatures smooth = PrefilterFeatures(raw, kFrame, 2);
   EXPECT_LT(smooth.value[0][static_cast<size_t>(kFrame.IndexOf(21, 20))], 1.0f);
 }
 

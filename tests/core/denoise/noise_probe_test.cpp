@@ -30,10 +30,10 @@ TEST(NoiseCovariance, IsThePartThatTheFilterKeeps) {
   const SyntheticFrame frame = MakeSyntheticFrame(kFrame, 0.3f, 16, 4);
   const RegressionInput input(kFrame, kFrame, frame.planes);
   RegressionInput probed = input;
-  Probe(&probed);
+  Probe(0.1f, &probed);
   for (const float keep : {0.0f, 0.25f, 1.0f}) {
     const Planes3 covariance = NoiseCovariance(input, probed, Shrunk(input, frame, keep),
-                                               Shrunk(probed, frame, keep));
+                                               Shrunk(probed, frame, keep), 0.1f);
     double sum = 0, variance = 0;
     for (size_t i = 0; i < covariance[0].size(); ++i) {
       sum += covariance[0][i];
@@ -47,10 +47,10 @@ TEST(NoiseCovariance, IsThePartThatTheFilterKeeps) {
 TEST(Probe, DependsOnThePixelAlone) {
   const SyntheticFrame frame = MakeSyntheticFrame(kFrame, 0.3f, 7, 4);
   RegressionInput whole(kFrame, kFrame, frame.planes);
-  Probe(&whole);
+  Probe(0.1f, &whole);
   const PixelRect window{40, 30, 50, 44};
   RegressionInput part(window, kFrame, frame.planes);
-  Probe(&part);
+  Probe(0.1f, &part);
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
       const auto i = static_cast<size_t>(window.IndexOf(x, y));

@@ -171,7 +171,8 @@ TEST(RegressionFilter, AnOutlierDoesNotSpreadFar) {
   double far = 0;
   for (int y = 0; y < kBounds.y_end; ++y) {
     for (int x = 0; x < kBounds.x_end; ++x) {
-      if (std::abs(x - 40) <= kRiskRadiusPx && std::abs(y - 40) <= kRiskRadiusPx) continue;
+      const int distance_px = std::max(std::abs(x - 40), std::abs(y - 40));
+      if (distance_px <= RegressionSettings{}.risk_radius_px) continue;
       const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
       for (size_t c = 0; c < 3; ++c) far += std::abs(after.color[c][i] - before.color[c][i]);
     }

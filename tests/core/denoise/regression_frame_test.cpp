@@ -20,7 +20,7 @@ constexpr PixelRect kBounds{0, 0, 200, 150};
 
 TEST(RegressionFrame, KeepsLessThan160BytesAPixel) {
   const SyntheticFrame frame = MakeSyntheticFrame(kBounds, 0.2f, 8, 1);
-  RegressionFrame stages(kBounds, kBounds);
+  RegressionFrame stages({}, kBounds, kBounds);
   stages.Filter(frame.planes, {&kBounds, 1}, OneByOne, Ignore);
   EXPECT_LT(stages.kept_bytes(), 160 * kBounds.area());
   EXPECT_GT(stages.kept_bytes(), 100 * kBounds.area());
@@ -30,7 +30,7 @@ TEST(RegressionFrame, KeepsLessThan160BytesAPixel) {
 // not show.
 TEST(RegressionFrame, MakesOnlyWhatNewsReach) {
   SyntheticFrame frame = MakeSyntheticFrame(kBounds, 0.2f, 8, 2);
-  RegressionFrame stages(kBounds, kBounds);
+  RegressionFrame stages({}, kBounds, kBounds);
   FilteredPlanes first(kBounds), second(kBounds);
   stages.Filter(frame.planes, {&kBounds, 1}, OneByOne,
                 [&](const FilteredPlanes& part) { CopyPixels(part, &first); });

@@ -9,24 +9,31 @@ namespace tessera {
 namespace {
 
 constexpr PixelRect kFrame{0, 0, 70, 60};
-constexpr int kRadius = 7;
+
+RegressionSettings Constants(int step) {
+  RegressionSettings constants;
+  constants.window_radius_px = 7;
+  constants.lattice_step_px = step;
+  return constants;
+}
+const int kReachPx = Constants(5).pass_reach_px();
 
 class RegressionPass : public ::testing::Test {
  protected:
   RegressionPass()
       : frame_(MakeSyntheticFrame(kFrame, 0.3f, 16, 5)),
-        input_(kFrame.Expand(PassReachPx(kRadius) + 1), kFrame, frame_.planes),
+        input_(kFrame.Expand(kReachPx + 1), kFrame, frame_.planes),
         features_(PrefilterFeatures(
-            {kFrame.Expand(PassReachPx(kRadius) + kPrefilterRadiusPx), kFrame, frame_.planes},
-            kFrame.Expand(PassReachPx(kRadius)))) {}
+            {kFrame.Expand(kReachPx + 2 + kPrefilterPatchRadiusPx), kFrame, frame_.planes},
+            kFrame.Expand(kReachPx), 2)) {}
 
   PassSettings Settings(const PixelRect& bounds, int step) const {
-    return {kFrame, bounds, kRadius, step};
+    return {kFrame, bounds, Constants(step)};
   }
   // The truth as a guide: the best there is.
   Pilot TruthPilot() const {
     Pilot pilot;
-    pilot.bounds = kFrame.Expand(PassReachPx(kRadius) + 1);
+    pilot.bounds = kFrame.Expand(kReachPx + 1);
     for (size_t c = 0; c < 3; ++c) {
       pilot.color[c].resize(SlackArea(pilot.bounds));
       pilot.variance[c].assign(SlackArea(pilot.bounds), 1e-3f);

@@ -16,7 +16,7 @@ constexpr PixelRect kBounds{0, 0, 48, 40};
 
 // A pass that knows the truth but for `bias`.
 PassOutput NearTruth(const SyntheticFrame& frame, float bias) {
-  const PixelRect read = kBounds.Expand(kPictureReachPx);
+  const PixelRect read = kBounds.Expand(RegressionSettings{}.picture_reach_px());
   PassOutput pass{.bounds = read, .color = {}};
   for (Planes3& color : pass.color) {
     for (size_t c = 0; c < 3; ++c) {
@@ -36,7 +36,8 @@ TEST(BlendAndJudge, FindsTheBiasOfItsPasses) {
   constexpr float kBias = 0.3f;
   const SyntheticFrame frame = MakeSyntheticFrame(kBounds, 0.3f, 16, 5);
   const Candidates candidates = {NearTruth(frame, kBias), NearTruth(frame, kBias)};
-  const FilteredPlanes out = BlendAndJudge(frame.planes, kBounds, candidates, candidates, kBounds);
+  const FilteredPlanes out =
+      BlendAndJudge(frame.planes, kBounds, candidates, candidates, kBounds, {});
   double found = 0, truth = 0;
   for (size_t i = 0; i < out.color[0].size(); ++i) {
     for (size_t c = 0; c < 3; ++c) {
@@ -56,7 +57,8 @@ TEST(BlendAndJudge, PixelsWithoutSamplesAreUnknown) {
   const auto hole = static_cast<size_t>(kBounds.IndexOf(20, 20));
   frame.planes.samples[hole] = 0;
   const Candidates candidates = {NearTruth(frame, 0), NearTruth(frame, 0)};
-  const FilteredPlanes out = BlendAndJudge(frame.planes, kBounds, candidates, candidates, kBounds);
+  const FilteredPlanes out =
+      BlendAndJudge(frame.planes, kBounds, candidates, candidates, kBounds, {});
   EXPECT_EQ(out.error[1][hole], kInfinity);
   EXPECT_EQ(out.relative_error[hole], kInfinity);
   EXPECT_TRUE(std::isfinite(out.error[1][hole + 1]));
