@@ -65,14 +65,14 @@ def worst(rows: list[dict], method: str, failure: str) -> dict:
 def draw_heat_map(rows: list[dict], path: pathlib.Path) -> None:
     chosen, names = _methods(rows), _failures(rows)
     cells = [[worst(rows, m, n) for n in names] for m in chosen]
-    ratio = numpy.array([[max(c["ratio"], 1e-2) for c in line] for line in cells])
+    ratio = numpy.array([[max(c["ratio"], 1e-3) for c in line] for line in cells])
     figure, axes = pyplot.subplots(figsize=(13.5, 0.45 * len(chosen) + 1))
-    axes.imshow(numpy.clip(ratio, 0.05, 20), norm=LogNorm(0.05, 20), cmap="RdYlGn_r", alpha=0.75,
+    axes.imshow(numpy.clip(ratio, 0.01, 100), norm=LogNorm(0.01, 100), cmap="RdYlGn_r", alpha=0.75,
                 aspect="auto")
     for y, line in enumerate(cells):
         for x, cell in enumerate(line):
             sure = "" if cell["ratio"] <= 1 else (" !" if cell["least"] > 1 else " ?")
-            axes.text(x, y, f"{cell['ratio']:.2f}{sure}\nat {cell['severity']:g}", ha="center",
+            axes.text(x, y, f"{cell['ratio']:.2g}{sure}\nat {cell['severity']:g}", ha="center",
                       va="center", fontsize=7)
     axes.set_yticks(range(len(chosen)), chosen)
     axes.set_xticks(range(len(names)), names)
@@ -89,7 +89,7 @@ def table(rows: list[dict]) -> str:
         cells = []
         for name in _failures(rows):
             cell = worst(rows, method, name)
-            text = f"{cell['ratio']:.2f} at {cell['severity']:g}"
+            text = f"{cell['ratio']:.2g} at {cell['severity']:g}"
             cells.append(f"**{text}**" if cell["least"] > 1 else text)
         lines.append([method, *cells])
     return pages.table(["method", *_failures(rows)], lines)
