@@ -72,6 +72,7 @@ def make(args) -> None:
     start = time.monotonic()
     for name, part in PARTS.items():
         if name in args.only:
+            print(f"{name} from {time.strftime('%H:%M:%S')} on", flush=True)
             begin, before_s = time.monotonic(), used_cpu_s()
             part(run)
             print(f"{name}: {time.monotonic() - begin:.0f} s, CPU {used_cpu_s() - before_s:.0f} s",
