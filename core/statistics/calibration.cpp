@@ -18,8 +18,9 @@ constexpr int kBandRows = 32;  // bounds the memory of a call on a whole frame
 constexpr float kSpreadCentre = 4;
 // Keeps the likeness of two pixels without any spread defined (and 1).
 constexpr float kSpreadMin = 1e-30f;
-// Keeps sums over a pool finite, so that a weight of 0 silences any pixel.
-constexpr float kDifferenceMax = 1e36f;
+// Of squared differences and sample variances: keeps sums over a pool finite, so that a weight of 0
+// silences any pixel.
+constexpr float kSquareMax = 1e36f;
 
 // What tells two pixels apart: the means of the radiance's channels, and the coverage.
 constexpr int kNumTraits = 4;
@@ -64,8 +65,9 @@ void ReadPixel(const FramePlanes& planes, size_t from, size_t to, Inputs* inputs
   inputs->reciprocal_count[to] = 1 / count;
   for (int c = 0; c < 3; ++c) {
     const float difference = planes.color_half[0][c][from] - planes.color_half[1][c][from];
-    const float variance = planes.sample_variance_of_mean[c][from] * count;
-    inputs->difference[c][to] = std::min(difference * difference * scale, kDifferenceMax);
+    const float variance =
+        std::min(planes.sample_variance_of_mean[c][from] * count, kSquareMax);
+    inputs->difference[c][to] = std::min(difference * difference * scale, kSquareMax);
     inputs->sample_variance[c][to] = variance;
     inputs->spread[to] += variance;
     inputs->trait[c][to] = planes.color[c][from];

@@ -277,5 +277,27 @@ TEST(CalibrationTest, BlackAndHugeFilmsStayFinite) {
   }
 }
 
+// Samples of 0 and of the largest radiance in one pixel and in neighbours, few and many.
+TEST(CalibrationTest, LargestSpreadsStayFinite) {
+  for (const uint32_t count : {2u, 3u, 1u << 20}) {
+    FramePlanes planes(PixelRect{0, 0, 24, 20});
+    for (size_t i = 0; i < planes.samples.size(); ++i) {
+      planes.samples[i] = count;
+      const bool is_lit = i % 3 != 0;
+      for (size_t c = 0; c < 3; ++c) {
+        planes.color_half[0][c][i] = is_lit ? kRadianceMax : 0.0f;
+        planes.color_half[1][c][i] = 0;
+        planes.color[c][i] = 0.5f * planes.color_half[0][c][i];
+        planes.sample_variance_of_mean[c][i] =
+            0.25f * planes.color_half[0][c][i] * planes.color_half[0][c][i];
+      }
+    }
+    CalibrateVariance(planes.bounds, &planes);
+    for (const Plane& plane : planes.variance) {
+      for (const float value : plane) EXPECT_TRUE(value >= 0 && std::isfinite(value)) << count;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace tessera
