@@ -10,6 +10,7 @@
 #include "bench/farm_under_test.h"
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
+#include "worker/integrator/arithmetic.h"
 
 namespace tessera {
 namespace {
@@ -146,7 +147,10 @@ SyntheticWorker::SyntheticWorker(const std::shared_ptr<grpc::Channel>& channel, 
   hello.set_threads(1);
   hello.set_memory_bytes(int64_t{1} << 34);
   hello.set_version(version);
-  for (const std::string& isa : SupportedIsaClasses()) hello.add_isa_classes(isa);
+  for (const std::string& isa : SupportedIsaClasses()) {
+    hello.add_isa_classes(isa);
+    hello.add_arithmetic(ArithmeticOf(isa));
+  }
   reactor_ = std::make_unique<Reactor>(stub_.get(), std::move(message), stock, counters);
 }
 
