@@ -29,6 +29,7 @@ struct PathWalker::PathState {
   Ray ray;                                    // unit direction
   RayHit hit;
   V3f medium = V3f(0, 0, 0);  // absorption where the ray is, 1/m, as the last boundary says
+  NestedSolids::Inside inside;  // where the ray is; kept where solids overlap only
   bool seeks_features;  // features are asked for, and only mirrors and clear glass were met so far
   V3f throughput = V3f(1, 1, 1);
   V3f radiance = V3f(0, 0, 0);

@@ -29,6 +29,7 @@ class PathTracer::Impl {
   std::unique_ptr<LightSampler> lights;
   std::unique_ptr<LightGuide> guide;  // null where there is nothing to learn
   std::unique_ptr<CameraRays> camera;
+  std::unique_ptr<const NestedSolids> solids;  // null where none overlap
   std::unique_ptr<PathWalker> walker;
   int branches = 1;
 };
@@ -80,6 +81,8 @@ absl::Status PathTracer::Build(std::unique_ptr<Scene> scene, Impl* impl) {
   }
   PathWalker::Parts parts{*impl->surfaces, *impl->embree, impl->environment.get(),
                           *impl->lights,   *impl->camera, settings.max_depth};
+  impl->solids = NestedSolids::Find(*s, *impl->surfaces);
+  parts.solids = impl->solids.get();
   parts.branches = settings.branches != 0 ? settings.branches
                                           : ChooseBranches(parts, settings.width, settings.height);
   impl->branches = parts.branches;

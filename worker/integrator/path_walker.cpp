@@ -26,6 +26,9 @@ static_assert(kRouletteStart > 0 && kFirstLightSamples <= 2, "of the numbers of 
 // Paths through more surfaces than this end, whatever max_depth says.
 constexpr int kDepthLimit = 1024;
 
+// Boundaries inside other solids that a path goes through between two that are visible.
+constexpr int kHiddenMax = 64;
+
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
 // Converts to what `make` returns: an optional that it is put into needs no copy.
@@ -126,12 +129,56 @@ void PathWalker::Read(Batch* batch) const {
     path.surface.emplace(InPlace(
         [&] { return parts_.surfaces.Read(path.hit, -path.ray.direction, path.cone_width); }));
   }
+  if (parts_.solids != nullptr) PassHidden(batch);
   List scattering;
   for (int i : batch->met) {
     if (Arrive(&batch->paths[i], batch->samples[i])) scattering.Add(i);
   }
   batch->met = scattering;
   MakeBsdfs(batch);
+}
+
+// Where solids overlap: paths go through boundaries that are not there, on to one that is, and
+// learn what lies behind that. Leaves in `met` those that find one; what the others see is added.
+void PathWalker::PassHidden(Batch* batch) const {
+  List visible, escaped;
+  for (int i : batch->met) {
+    PathState& path = batch->paths[i];
+    bool is_hit = true;
+    int passed = 0;
+    for (; is_hit && parts_.solids->Hides(path.inside, *path.surface); ++passed) {
+      if (passed == kHiddenMax) break;
+      is_hit = PassThrough(&path);
+    }
+    batch->rays += passed;
+    if (!is_hit) {
+      escaped.Add(i);
+    } else if (passed < kHiddenMax) {
+      parts_.solids->JoinOuter(path.inside, &*path.surface);
+      visible.Add(i);
+    }
+  }
+  batch->met = visible;
+  AddEscaped(escaped, batch);
+}
+
+// Straight through the surface, as if it were not there. Whether the ray meets another one.
+bool PathWalker::PassThrough(PathState* path) const {
+  const Surface& surface = *path->surface;
+  for (int c = 0; c < 3; ++c) {
+    path->throughput[c] *= ExpNegative(-path->medium[c] * path->hit.t);
+  }
+  parts_.solids->Cross(surface, &path->inside);
+  path->ray.origin =
+      OffsetRayOrigin(surface.position, -surface.geometric_normal, surface.coordinate_max);
+  // Glass stops shadow rays: no light behind it was sampled.
+  path->pdf = kInfinity;
+  const uint64_t key = path->hash_key + static_cast<uint64_t>(path->depth);
+  if (!parts_.embree.Intersect(path->ray, key, &path->hit)) return false;
+  path->cone_width += path->cone_spread * path->hit.t;
+  path->surface.emplace(InPlace(
+      [&] { return parts_.surfaces.Read(path->hit, -path->ray.direction, path->cone_width); }));
+  return true;
 }
 
 // Albedo and normal of the first surface that is no mirror, seen through those before it; until it
@@ -305,6 +352,7 @@ void PathWalker::Branch(const Batch& stems, int branch, Batch* batch) const {
     path.hash_key = path.sampler.HashKey();
     path.request = stem.request;
     path.medium = stem.medium;
+    if (parts_.solids != nullptr) path.inside = stem.inside;
     path.seeks_features = stem.seeks_features && branch == 0;
     path.throughput = stem.throughput;
     path.radiance = V3f(0, 0, 0);
@@ -332,6 +380,10 @@ bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
   path->ray = {scattered.origin, scattered.direction, kInfinity};
   if (scattered.cosine < 0 && !surface.bsdf.thin_walled) {
     path->medium = surface.front_face ? surface.absorption : V3f(0, 0, 0);
+    if (parts_.solids != nullptr) {
+      parts_.solids->Cross(surface, &path->inside);
+      path->medium = parts_.solids->Absorption(path->inside);
+    }
   }
   path->pdf = scattered.pdf * static_cast<float>(NumBranches(path->depth));
   path->cone_spread += scattered.spread;

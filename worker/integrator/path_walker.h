@@ -11,6 +11,7 @@
 #include "worker/integrator/embree_scene.h"
 #include "worker/integrator/first_hits.h"
 #include "worker/integrator/light_sampler.h"
+#include "worker/integrator/nested_solids.h"
 #include "worker/integrator/onb.h"
 #include "worker/integrator/sobol_sampler.h"
 #include "worker/integrator/surface_reader.h"
@@ -33,6 +34,7 @@ class PathWalker {
     int max_depth;  // bounces after the camera hit
     LightStrategy strategy = LightStrategy::kBoth;
     int branches = 1;  // into which a path parts at its first surface; a power of two
+    const NestedSolids* solids = nullptr;  // null: no solids of glass overlap
   };
   explicit PathWalker(const Parts& parts);
 
@@ -68,6 +70,8 @@ class PathWalker {
                    std::array<Scattered, kPathsMax>* scattered, List* scattering) const;
 
   void AddEscaped(const List& escaped, Batch* batch) const;
+  void PassHidden(Batch* batch) const;
+  bool PassThrough(PathState* path) const;
   void StoreFeatures(const PathState& path, const V3f& albedo, PixelSample* sample) const;
   void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
   void AddEmission(PathState* path) const;

@@ -158,8 +158,11 @@ OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int 
   lights_ = std::make_unique<LightSampler>(*scene_, *surfaces_, environment_.get(),
                                            bounds.isEmpty() ? 1.f : 0.5f * bounds.size().length());
   camera_ = std::make_unique<CameraRays>(scene_->camera, width, height);
-  walker_ = std::make_unique<PathWalker>(PathWalker::Parts{
-      *surfaces_, *embree_, environment_.get(), *lights_, *camera_, max_depth, strategy});
+  solids_ = NestedSolids::Find(*scene_, *surfaces_);
+  PathWalker::Parts parts{*surfaces_, *embree_, environment_.get(), *lights_,
+                          *camera_,   max_depth, strategy};
+  parts.solids = solids_.get();
+  walker_ = std::make_unique<PathWalker>(parts);
 }
 
 void OpenTracer::Guide() {

@@ -74,6 +74,7 @@ class OpenTracer {
   std::unique_ptr<LightSampler> lights_;
   std::unique_ptr<LightGuide> guide_;
   std::unique_ptr<CameraRays> camera_;
+  std::unique_ptr<const NestedSolids> solids_;
   std::unique_ptr<PathWalker> walker_;
 };
 
