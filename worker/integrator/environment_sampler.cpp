@@ -212,7 +212,8 @@ Float8 EnvironmentSampler::CellWeights(std::span<const SkyView* const> views,
     normal.Set(lane, views[i]->normal);
     direction.Set(lane, {cell_x_[cell], cell_y_[cell], cell_z_[cell]});
     light[lane] = cell_light_[cell];
-    seen[lane] = (*views[i]->visibility)[cell];
+    const SkyVisibility* visibility = views[i]->visibility;
+    seen[lane] = visibility != nullptr ? (*visibility)[cell] : 1.f;
     transmits[lane] = views[i]->transmits;
   }
   const Float8 cosine = Dot8(normal, direction);

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <vector>
 
@@ -101,6 +102,53 @@ TEST(EnvironmentSamplerTest, ViewsTotalIsTheIrradianceAboveTheHorizon) {
   EXPECT_NEAR(ViewOf(sampler, up, false, &visibility).total, kPiFloat, 0.06f * kPiFloat);
   visibility.fill(0.2f);
   EXPECT_NEAR(ViewOf(sampler, up, false, &visibility).total, 0.204 * kPiFloat, 0.02f * kPiFloat);
+}
+
+// A path that comes from no surface: from the camera through a boundary that is not there.
+TEST(EnvironmentSamplerTest, ViewsThatNobodyMadeHaveNoDensity) {
+  EnvironmentLight map = Map(0.7f), uniform;
+  uniform.uniform = V3f(1, 2, 3);
+  const V3f direction = V3f(1, 2, -1).normalized();
+  for (EnvironmentLight* light : {&map, &uniform}) {
+    const EnvironmentSampler sampler(light);
+    float pdf = 1;
+    EXPECT_EQ(sampler.RadianceAndPdf(SkyView{}, direction, &pdf), sampler.Radiance(direction));
+    EXPECT_EQ(pdf, 0);
+  }
+}
+
+// Eight at once, fewer, one: the same bits, whatever the others look at.
+TEST(EnvironmentSamplerTest, LanesDoNotKnowEachOther) {
+  EnvironmentLight map = Map(0.7f), uniform;
+  uniform.uniform = V3f(1, 2, 3);
+  const SkyVisibility curtains = Curtains();
+  for (EnvironmentLight* light : {&map, &uniform}) {
+    const EnvironmentSampler sampler(light);
+    std::array<FullView, kFloat8Lanes> views;
+    std::array<SkyDraw, kFloat8Lanes> draws;
+    std::array<const SkyView*, kFloat8Lanes> pointers;
+    for (int i = 0; i < kFloat8Lanes; ++i) {
+      const V2f u = SobolSampler(3, i, 0, 0).Get2D(0);
+      views[i] = ViewOf(sampler, DirectionAt(2 * u.x - 1, u.y), i % 4 == 1,
+                        i % 3 == 0 ? nullptr : &curtains);
+      draws[i] = {&views[i], &views[i].weights, SobolSampler(3, i, 0, 0).Get2D(1)};
+      pointers[i] = &views[i];
+    }
+    SkyDirections together = sampler.Sample(draws);
+    const SkyDirections drawn = together;
+    sampler.Find(pointers, &together);
+    for (int i = 0; i < kFloat8Lanes; ++i) {
+      const DirectionSample alone = sampler.Sample(views[i], views[i].weights, draws[i].u);
+      EXPECT_EQ(alone.direction, drawn.direction.Get(i));
+      EXPECT_EQ(alone.radiance, drawn.radiance.Get(i));
+      EXPECT_EQ(alone.pdf, float{drawn.pdf[i]});
+      float pdf;
+      const V3f radiance = sampler.RadianceAndPdf(views[i], alone.direction, &pdf);
+      EXPECT_EQ(radiance, together.radiance.Get(i));
+      EXPECT_EQ(pdf, float{together.pdf[i]});
+      EXPECT_GT(pdf, 0);
+    }
+  }
 }
 
 TEST(EnvironmentSamplerTest, HiddenCellsAreSeldomChosen) {
