@@ -345,12 +345,15 @@ void PrintSensitivity(const Options& options, const std::vector<Input>& inputs,
     before.push_back(Errors(options, *denoiser, input));
   }
   std::printf("\n");
-  for (const DenoiserOption& option : denoiser->options()) {
+  const std::vector<DenoiserOption> all = denoiser->options();
+  for (size_t k = 0; k < all.size(); ++k) {
+    const DenoiserOption& option = all[k];
     for (const float factor : {0.5f, 2.0f}) {
       const float value = std::clamp(factor * option.value, option.min, option.max);
       if (!denoiser->SetOption(option.name, value).ok()) continue;
-      std::printf("| %s | %g instead of %g |", option.name.c_str(), double{value},
-                  double{option.value});
+      // What it has become: some are whole numbers.
+      std::printf("| %s | %g instead of %g |", option.name.c_str(),
+                  double{denoiser->options()[k].value}, double{option.value});
       for (size_t i = 0; i < inputs.size(); ++i) {
         const std::array<double, 2> now = Errors(options, *denoiser, inputs[i]);
         std::printf(" %+.1f (%+.1f) |", 100 * (now[0] / before[i][0] - 1),
