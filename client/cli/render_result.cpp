@@ -72,8 +72,6 @@ ordered_json ResultJson(const RenderResult& result) {
   json["stopped_by"] = StopWord(job.stop_reason());
   json["bytes"] = {{"assets", progress.asset_bytes()}, {"deltas", progress.delta_bytes()}};
   json["outputs"] = result.outputs;
-  json["isa"] = job.settings().isa();
-  json["arithmetic"] = job.arithmetic();
   return json;
 }
 

@@ -52,8 +52,7 @@ TEST(ResultJson, HasExactlyTheStableFields) {
   std::vector<std::string> keys;
   for (const auto& [key, value] : json.items()) keys.push_back(key);
   EXPECT_THAT(keys, ElementsAre("digest", "width", "height", "spp", "samples", "rays", "non_finite",
-                                "seconds", "error", "stopped_by", "bytes", "outputs", "isa",
-                                "arithmetic"));
+                                "seconds", "error", "stopped_by", "bytes", "outputs"));
   EXPECT_EQ(json["digest"], "01ff");
   EXPECT_EQ(json["stopped_by"], "target_error");
   EXPECT_TRUE(json["error"]["rel_rmse"].is_null());  // unknown
