@@ -1,11 +1,13 @@
 #include "worker/integrator/nested_solids.h"
 
 #include <Imath/ImathBox.h>
+#include <Imath/ImathBoxAlgo.h>
+#include <Imath/ImathMatrix.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 
-#include "worker/integrator/portable_math.h"
 
 namespace tessera {
 namespace {
@@ -18,6 +20,35 @@ constexpr double kClosed = 1e-3;
 
 bool IsRefracting(const Material& material) {
   return material.transmission > 0 && material.thickness > 0 && !material.unlit;
+}
+
+// A mesh in its own space: its bounds, and its triangles' areas as vectors and as lengths.
+struct Shape {
+  Imath::Box3f bounds;
+  V3d vector = V3d(0, 0, 0);
+  double area = 0;
+};
+
+Shape ShapeOf(const Mesh& mesh) {
+  Shape shape;
+  for (const auto& [a, b, c] : mesh.triangles) {
+    for (const uint32_t corner : {a, b, c}) shape.bounds.extendBy(mesh.positions[corner]);
+    const V3d origin(mesh.positions[a]);
+    const V3d area =
+        (V3d(mesh.positions[b]) - origin).cross(V3d(mesh.positions[c]) - origin);
+    shape.vector += area;
+    shape.area += area.length();
+  }
+  return shape;
+}
+
+// By how much cofactors scale areas, on average over directions (Frobenius).
+double Norm(const Imath::M33d& m) {
+  double sum = 0;
+  for (int i = 0; i < 3; ++i) {
+    for (int k = 0; k < 3; ++k) sum += m[i][k] * m[i][k];
+  }
+  return std::sqrt(sum / 3);
 }
 
 // Sweeps along x.
@@ -44,18 +75,18 @@ std::unique_ptr<const NestedSolids> NestedSolids::Find(const Scene& scene,
   std::vector<V3d> vectors(scene.materials.size(), V3d(0, 0, 0));
   std::vector<double> areas(scene.materials.size(), 0);
   std::vector<Imath::Box3f> bounds;
+  std::map<const Mesh*, Shape> shapes;  // a mesh may have many instances
   for (uint32_t i = 0; i < scene.instances.size(); ++i) {
-    const Mesh& mesh = scene.meshes[scene.instances[i].mesh];
+    const InstanceGeometry& geometry = surfaces.geometry(i);
+    const Mesh& mesh = *geometry.mesh;
     const auto material = static_cast<size_t>(mesh.material);
     if (!IsRefracting(scene.materials[material]) || mesh.triangles.empty()) continue;
-    Imath::Box3f box;
-    for (uint32_t triangle = 0; triangle < mesh.triangles.size(); ++triangle) {
-      const WorldTriangle t = surfaces.TriangleOf(i, triangle);
-      for (const V3f& corner : {t.a, t.b, t.c}) box.extendBy(corner);
-      const V3d area = V3d(t.b - t.a).cross(V3d(t.c - t.a));
-      vectors[material] += area;
-      areas[material] += area.length();
-    }
+    const auto [shape, is_new] = shapes.try_emplace(&mesh);
+    if (is_new) shape->second = ShapeOf(mesh);
+    const Imath::M33d cofactors(geometry.transform.cofactors);
+    vectors[material] += shape->second.vector * cofactors;
+    areas[material] += shape->second.area * Norm(cofactors);
+    const Imath::Box3f box = Imath::transform(shape->second.bounds, geometry.transform.to_world);
     Solid& solid = nested->solids_[material];
     solid.size = std::max(solid.size, box.size().length());
     solid.ior = RefractingIor(scene.materials[material].ior);

@@ -72,6 +72,20 @@ TEST(NestedSolidsTest, SlabsOfOneMaterialMeltTogether) {
   }
 }
 
+// The second one turned over, as an instance.
+TEST(NestedSolidsTest, InstancesAreSolids) {
+  for (const float side : {1.f, -1.f}) {
+    auto scene = std::make_unique<Scene>();
+    const int slab =
+        AddMesh(Slab(AddMaterial(SolidGlass(1.5f), scene.get()), 4, 0, 2), scene.get());
+    Imath::M44f turned;
+    turned.setScale(V3f(0.75f, 0.75f, -1));
+    turned[3][2] = 3;
+    AddInstance(slab, turned, scene.get());
+    ExpectMean(Through(std::move(scene), side), ThroughStack({1.5, 1.5}), side);
+  }
+}
+
 // Water that reaches into its glass has one boundary with it, not two with air.
 TEST(NestedSolidsTest, TheSmallerSolidHasThePlace) {
   for (const float side : {1.f, -1.f}) {
