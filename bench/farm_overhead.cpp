@@ -3,6 +3,9 @@
 // the wire; latency and rate of previews; memory. Prints the markdown table of docs/figures.md.
 //   farm_overhead SCENE [--look-from X,Y,Z --look-at X,Y,Z --fov-y DEG] [--sky R,G,B]
 //     [--seconds 60] [--threads 2] [--rounds 3] [--denoiser NAME] [--feature-spp 64]
+//   farm_overhead SCENE ... --workers 1,2,4
+// instead: the share of all CPU that is rendering, with so many workers of one thread each, in jobs
+// of at least --seconds on the clock; scene building and filtering apart.
 // Bare loops and jobs alternate, so that what else runs on the machine falls on both.
 #include <time.h>
 
@@ -37,6 +40,7 @@ struct Options {
   int threads = 2;
   int rounds = 3;            // jobs, each between two bare loops
   int64_t feature_spp = 64;  // the server's default
+  std::vector<int> workers;  // measure the efficiency of so many instead
 };
 
 double SecondsSince(Clock::time_point begin) {
@@ -314,6 +318,27 @@ void ReportMemory(const Options& options) {
       "");
 }
 
+void ReportEfficiency(const Options& options, v1::JobSettings settings, int num_workers) {
+  FarmUnderTest farm(1, num_workers);
+  settings.set_denoiser("none");
+  *settings.add_assets() = farm.Upload(options.scene);
+  settings.set_spp(16 * num_workers);
+  RunJob(farm, settings, false);  // builds the scenes
+  const FarmRun probe = RunJob(farm, settings, false);
+  settings.set_spp(std::max<int64_t>(
+      settings.spp(), static_cast<int64_t>(1.1 * options.seconds / probe.wall_seconds *
+                                           static_cast<double>(settings.spp()))));
+  const FarmRun run = RunJob(farm, settings, false);
+  Row("efficiency with " + std::to_string(num_workers) + " workers, " +
+          std::to_string(settings.spp()) + " spp",
+      Format("%.1f %%", 100 * RenderSeconds(run) / CpuSeconds(run)) +
+          Format(": %.1f s rendering", RenderSeconds(run)) +
+          Format(" of %.1f s of CPU", CpuSeconds(run)) +
+          Format(" (coordinator %.1f s)", run.server_cpu_seconds) +
+          Format(", %.0f s on the clock", run.wall_seconds),
+      ">= 95 %");
+}
+
 int Main(int argc, char** argv) {
   Options options;
   CLI::App app("Measures what the service costs beside rendering");
@@ -328,6 +353,9 @@ int Main(int argc, char** argv) {
   app.add_option("--rounds", options.rounds)->check(CLI::Range(1, 1000));
   app.add_option("--feature-spp", options.feature_spp);
   app.add_option("--denoiser", options.denoiser, "the server's default when absent");
+  app.add_option("--workers", options.workers, "measure the efficiency of so many workers instead")
+      ->delimiter(',')
+      ->check(CLI::Range(1, 1000));
   CLI11_PARSE(app, argc, argv);
   options.scene = std::filesystem::absolute(options.scene);
 
@@ -335,6 +363,10 @@ int Main(int argc, char** argv) {
   constexpr int kWidth = 640;
   constexpr int kHeight = 360;
   v1::JobSettings settings = SettingsOf(options, kWidth, kHeight, 1);
+  if (!options.workers.empty()) {
+    for (const int count : options.workers) ReportEfficiency(options, settings, count);
+    return 0;
+  }
   const TileGrid grid(PixelRect::FromSize(0, 0, kWidth, kHeight), settings.tile_size());
   const BareTracer bare = BuildBareTracer(options, settings);
   {

@@ -15,13 +15,18 @@ void Die(const std::string& line) {
   std::exit(1);
 }
 
-FarmUnderTest::FarmUnderTest(int worker_threads)
+FarmUnderTest::FarmUnderTest(int worker_threads, int num_workers)
     : server_(directory_.path()),
       client_(server_.Channel()),
-      images_(v1::ImageService::NewStub(server_.Channel())),
-      worker_(StartWorkerProcess(server_.address(), directory_.path() + "/worker.log",
-                                 worker_threads)) {
-  if (!Eventually([&] { return client_.Workers().size() == 1; })) Die("the worker did not come");
+      images_(v1::ImageService::NewStub(server_.Channel())) {
+  for (int i = 0; i < num_workers; ++i) {
+    workers_.push_back(StartWorkerProcess(
+        server_.address(), directory_.path() + "/worker" + std::to_string(i) + ".log",
+        worker_threads));
+  }
+  if (!Eventually([&] { return client_.Workers().size() == workers_.size(); })) {
+    Die("the workers did not come");
+  }
 }
 
 v1::AssetRef FarmUnderTest::Upload(const std::string& path) {
@@ -60,8 +65,16 @@ bool FarmUnderTest::FetchPicture(const std::string& job, v1::ImageHeader* header
 }
 
 double FarmUnderTest::ServerCpuSeconds() const { return CpuSecondsOf(server_.process().pid()); }
-double FarmUnderTest::WorkerCpuSeconds() const { return CpuSecondsOf(worker_->pid()); }
+double FarmUnderTest::WorkerCpuSeconds() const {
+  double seconds = 0;
+  for (const auto& worker : workers_) seconds += CpuSecondsOf(worker->pid());
+  return seconds;
+}
 int64_t FarmUnderTest::ServerPeakBytes() const { return PeakBytesOf(server_.process().pid()); }
-int64_t FarmUnderTest::WorkerPeakBytes() const { return PeakBytesOf(worker_->pid()); }
+int64_t FarmUnderTest::WorkerPeakBytes() const {
+  int64_t bytes = 0;
+  for (const auto& worker : workers_) bytes += PeakBytesOf(worker->pid());
+  return bytes;
+}
 
 }  // namespace tessera

@@ -1,9 +1,10 @@
-// A coordinator and one worker as processes, and what they cost.
+// A coordinator and workers as processes, and what they cost.
 #pragma once
 
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "tessera/v1/image.grpc.pb.h"
 #include "tests/integration/farm.h"
@@ -15,7 +16,7 @@ namespace tessera {
 
 class FarmUnderTest {
  public:
-  explicit FarmUnderTest(int worker_threads);
+  explicit FarmUnderTest(int worker_threads, int num_workers = 1);
 
   v1::AssetRef Upload(const std::string& path);
   std::string Create(const v1::JobSettings& settings);
@@ -28,16 +29,16 @@ class FarmUnderTest {
   bool FetchPicture(const std::string& job, v1::ImageHeader* header);
 
   double ServerCpuSeconds() const;
-  double WorkerCpuSeconds() const;
+  double WorkerCpuSeconds() const;  // of all workers
   int64_t ServerPeakBytes() const;
-  int64_t WorkerPeakBytes() const;
+  int64_t WorkerPeakBytes() const;  // the same
 
  private:
   TemporaryDirectory directory_;
   ServerProcess server_;
   RpcClient client_;
   std::unique_ptr<v1::ImageService::Stub> images_;
-  std::unique_ptr<ChildProcess> worker_;
+  std::vector<std::unique_ptr<ChildProcess>> workers_;
 };
 
 }  // namespace tessera
