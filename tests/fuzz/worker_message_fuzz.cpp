@@ -85,7 +85,7 @@ std::string Conversation(uint32_t encoding) {
   while (!worker.leases.empty()) {
     const v1::Lease lease = worker.leases.front();
     worker.leases.pop_front();
-    message.mutable_heartbeat()->add_leases(lease.id());
+    message.mutable_heartbeat()->add_leases()->set_id(lease.id());
     Append(message, &out);
     DeltaEvent event = farm.Render(session, lease);
     v1::TileDelta& delta = *message.mutable_delta();
@@ -133,6 +133,15 @@ std::vector<std::string> FuzzSeeds() {
     std::string out;
     v1::WorkerMessage message;
     *message.mutable_hello() = farm.MakeHello("host", 1);
+    if (kind == 3) {
+      v1::CrashReport& crash = *message.mutable_hello()->add_crashes();
+      crash.set_cause(v1::CrashReport::CAUSE_SIGNAL);
+      crash.set_signal(11);
+      crash.set_process_id(1);
+      v1::CrashReport::Unit& unit = *crash.add_units();
+      unit.set_job("jobs/1");
+      unit.set_sample_end(2);
+    }
     Append(message, &out);
     if (kind == 0) {
       message.mutable_decline()->set_lease_id(1);
@@ -143,13 +152,7 @@ std::vector<std::string> FuzzSeeds() {
     } else if (kind == 2) {
       message.mutable_drain();
     } else {
-      v1::CrashReport& crash = *message.mutable_crash();
-      crash.set_cause(v1::CrashReport::CAUSE_SIGNAL);
-      crash.set_signal(11);
-      crash.set_process_id(1);
-      v1::CrashReport::Unit& unit = *crash.add_units();
-      unit.set_job("jobs/1");
-      unit.set_sample_end(2);
+      message.mutable_heartbeat();
     }
     Append(message, &out);
     seeds.push_back(out);
