@@ -14,6 +14,7 @@
 #include "core/base/version.h"
 #include "core/film/delta_codec.h"
 #include "tests/worker/session/fake_coordinator.h"
+#include "worker/integrator/arithmetic.h"
 #include "worker/session/asset_fetcher.h"
 #include "worker/session/worker_channel.h"
 
@@ -170,6 +171,10 @@ TEST_F(WorkerSessionTest, RendersLeasesAndDrains) {
   EXPECT_EQ(hello.version(), kVersion);
   EXPECT_EQ(hello.threads(), 2);
   EXPECT_GT(hello.memory_bytes(), 0);
+  ASSERT_EQ(hello.arithmetic_size(), hello.isa_classes_size());
+  for (int i = 0; i < hello.arithmetic_size(); ++i) {
+    EXPECT_EQ(hello.arithmetic(i), ArithmeticOf(hello.isa_classes(i)));
+  }
   EXPECT_EQ(log.builds, 1);
   EXPECT_EQ(ready.job(), "jobs/1");
   EXPECT_EQ(ready.report().triangles(), 12);
