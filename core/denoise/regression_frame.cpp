@@ -208,10 +208,12 @@ SmoothFeatures RegressionFrame::FeaturesOver(const PixelRect& rect) const {
 void RegressionFrame::MakeFirst(const FramePlanes& planes, const PixelRect& rect) {
   const SmoothFeatures features = FeaturesOver(rect.Expand(settings_.pass_reach_px()));
   RegressionInput input(rect.Expand(settings_.pass_reach_px() + 1), frame_, planes);
-  for (size_t run = 0; run < kNumRuns; ++run) {
-    if (run == 1) Probe(settings_.probe_step, &input);
-    Keep(RunCrossPass(input, features, {frame_, rect, settings_}), &first_[run]);
-  }
+  const ColorHalves color = input.color;
+  Probe(settings_.probe_step, &input);
+  const ColorHalves* const colors[] = {&color, &input.color};
+  const std::vector<PassOutput> made =
+      RunCrossPasses(input, colors, features, {frame_, rect, settings_});
+  for (size_t run = 0; run < kNumRuns; ++run) Keep(made[run], &first_[run]);
 }
 
 void RegressionFrame::MakeSecond(const FramePlanes& planes, const PixelRect& rect) {

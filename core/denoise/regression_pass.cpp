@@ -37,7 +37,8 @@ class Accumulator {
   }
 
   // Divides the sums by the weights; pixels without weight keep the input's colour.
-  PassOutput Finish(const RegressionInput& input, const PixelRect& window) {
+  PassOutput Finish(const ColorHalves& color_in, const RegressionInput& input,
+                    const PixelRect& window) {
     PassOutput out;
     out.bounds = window;
     for (size_t half = 0; half < kNumHalves; ++half) {
@@ -51,7 +52,7 @@ class Accumulator {
           for (int x = window.x_begin; x < window.x_end; ++x, ++from, ++raw, ++to) {
             const float weight = (*weight_sum(half))[from];
             const bool is_filtered = weight > 0 && input.known[raw] > 0;
-            color[to] = is_filtered ? sums_[half][c][from] / weight : input.color[half][c][raw];
+            color[to] = is_filtered ? sums_[half][c][from] / weight : color_in[half][c][raw];
           }
         }
       }
@@ -107,38 +108,59 @@ float Kept(float energy, float noise) { return energy > noise ? 1.0f - noise / e
 
 }  // namespace
 
-PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
-                        const PassSettings& settings) {
+std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
+                                       std::span<const ColorHalves* const> colors,
+                                       const SmoothFeatures& features,
+                                       const PassSettings& settings) {
   const PixelRect reached = settings.bounds.Expand(settings.constants.pass_reach_px());
   TESSERA_CHECK(features.bounds.Contains(reached) && input.bounds.Contains(reached.Expand(1)));
   Planes3 variance = input.variance;  // of one half's mean
   for (Plane& plane : variance) {
     for (float& value : plane) value *= 2.0f;
   }
-  // Half A's weights come from half B.
-  const Guide guide{input.bounds, &input.known, {&input.color[1], &input.color[0]}, 2, &variance,
-                    &input.variance_sum, input.bounds};
+  Guide guide{.bounds = input.bounds, .known = &input.known, .num_values = 0,
+              .variance = &variance, .lent_variance = &input.variance_sum,
+              .lent_bounds = input.bounds};
+  std::vector<Accumulator> sums;
+  for (const ColorHalves* color : colors) {
+    // Half A's weights come from half B.
+    guide.values[static_cast<size_t>(guide.num_values++)] = &(*color)[1];
+    guide.values[static_cast<size_t>(guide.num_values++)] = &(*color)[0];
+    sums.emplace_back(reached, kNumHalves);
+  }
   WindowWeights weights(settings.constants.window_radius_px, settings.constants.weights);
   WindowFit fit;
-  Accumulator sums(reached, kNumHalves);
-  VisitCentres(input, settings, sums, [&](int x, int y, int reach_px) {
+  VisitCentres(input, settings, sums[0], [&](int x, int y, int reach_px) {
     weights.Set(guide, 1, x, y);
     fit.SetCentre(weights, features);
-    for (size_t half = 0; half < kNumHalves; ++half) {
-      const Planes3& color = input.color[half];
+    for (size_t value = 0; value < static_cast<size_t>(guide.num_values); ++value) {
+      const size_t half = value % kNumHalves;
+      Accumulator& into_sums = sums[value / kNumHalves];
+      const Planes3& color = (*colors[value / kNumHalves])[half];
       const Plane* const targets[] = {color.data(), &color[1], &color[2]};
-      fit.Fit(static_cast<int>(half), input.bounds, targets);
+      fit.Fit(static_cast<int>(value), input.bounds, targets);
       const float noise =
           2.0f * fit.SquareWeightedSum(input.bounds, input.variance_sum) / fit.weight_sum();
       for (size_t k = 1; k < static_cast<size_t>(fit.num_unknowns()); ++k) {
         Float8& z = fit.coefficients[k];
         z *= Kept(z[0] * z[0] + z[1] * z[1] + z[2] * z[2], noise);
       }
-      Plane* const into[] = {sums.sum(half, 0), sums.sum(half, 1), sums.sum(half, 2)};
-      fit.AddPrediction(sums.bounds(), reach_px, into, sums.weight_sum(half));
+      Plane* const into[] = {into_sums.sum(half, 0), into_sums.sum(half, 1),
+                             into_sums.sum(half, 2)};
+      fit.AddPrediction(into_sums.bounds(), reach_px, into, into_sums.weight_sum(half));
     }
   });
-  return sums.Finish(input, settings.bounds);
+  std::vector<PassOutput> outputs;
+  for (size_t run = 0; run < colors.size(); ++run) {
+    outputs.push_back(sums[run].Finish(*colors[run], input, settings.bounds));
+  }
+  return outputs;
+}
+
+PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
+                        const PassSettings& settings) {
+  const ColorHalves* const colors[] = {&input.color};
+  return std::move(RunCrossPasses(input, colors, features, settings).front());
 }
 
 PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
@@ -180,7 +202,7 @@ PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& feat
     }
     fit.AddPrediction(sums.bounds(), reach_px, into, sums.weight_sum(0));
   });
-  return sums.Finish(input, settings.bounds);
+  return sums.Finish(input.color, input, settings.bounds);
 }
 
 }  // namespace tessera

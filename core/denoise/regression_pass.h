@@ -3,12 +3,17 @@
 // Collaborative output after Bitterli et al. 2016 (eq. 8) and Boughida & Boubekeur 2017.
 #pragma once
 
+#include <span>
+#include <vector>
+
 #include "core/denoise/feature_prefilter.h"
 #include "core/denoise/regression_input.h"
 #include "core/denoise/regression_settings.h"
 #include "core/denoise/window_fit.h"
 
 namespace tessera {
+
+using ColorHalves = std::array<Planes3, kNumHalves>;
 
 // Each half filtered by itself, row-major over `bounds`, SlackArea long.
 struct PassOutput {
@@ -31,6 +36,13 @@ struct PassSettings {
 // features.bounds must reach pass_reach_px beyond settings.bounds, input.bounds one pixel further.
 PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
                         const PassSettings& settings);
+
+// The first pass of several colours that differ from input.color by little, at most two, at the
+// centres that the first one asks for: less work than each by itself. Row-major as `input`'s.
+std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
+                                       std::span<const ColorHalves* const> colors,
+                                       const SmoothFeatures& features,
+                                       const PassSettings& settings);
 
 // What guides the second pass: the first one's result and its variance, over `bounds`.
 struct Pilot {

@@ -124,7 +124,10 @@ void WindowWeights::Set(const Guide& guide, int patch_radius_px, int x, int y) {
   x_ = x;
   y_ = y;
   num_values_ = guide.num_values;
-  if (guide.num_values == 2) {
+  if (guide.num_values == 4) {
+    TESSERA_CHECK(patch_radius_px == 1);
+    SetAs<4, 1>(guide);
+  } else if (guide.num_values == 2) {
     patch_radius_px == 0 ? SetAs<2, 0>(guide) : SetAs<2, 1>(guide);
   } else {
     patch_radius_px == 0 ? SetAs<1, 0>(guide) : SetAs<1, 1>(guide);

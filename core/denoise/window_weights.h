@@ -20,12 +20,14 @@ inline constexpr int kWindowRowVectorsMax = (2 * kWindowRadiusPxMax + 1 + 7) / k
 inline constexpr int kWindowVectorsMax = (2 * kWindowRadiusPxMax + 1) * kWindowRowVectorsMax + 1;
 using WindowPlane = std::array<Float8, kWindowVectorsMax>;
 
+inline constexpr int kGuideValuesMax = 4;
+
 // The planes whose patches are compared: row-major over `bounds`, SlackArea long.
 struct Guide {
   PixelRect bounds;
   const Plane* known = nullptr;
-  std::array<const Planes3*, kNumHalves> values = {};  // each gives its own weights
-  int num_values = 1;
+  std::array<const Planes3*, kGuideValuesMax> values = {};  // each gives its own weights
+  int num_values = 1;  // 1, 2 or 4
   const Planes3* variance = nullptr;  // of all of them, > 0
   // The variance of what is fitted, > 0, row-major over lent_bounds.
   const Plane* lent_variance = nullptr;
@@ -54,7 +56,9 @@ class WindowWeights {
   // Of vector i: the sum over all values.
   Float8 total(int i) const {
     const auto at = static_cast<size_t>(i);
-    return num_values_ == 2 ? weights_[0][at] + weights_[1][at] : weights_[0][at];
+    Float8 sum = weights_[0][at];
+    for (size_t v = 1; v < static_cast<size_t>(num_values_); ++v) sum += weights_[v][at];
+    return sum;
   }
   // Where vector i begins: pixels right of and below the centre.
   int dx(int i) const { return begin_x_[static_cast<size_t>(i)]; }
@@ -73,7 +77,7 @@ class WindowWeights {
   int x_ = 0, y_ = 0;
   int num_values_ = 1;
   int num_vectors_ = 0;
-  std::array<WindowPlane, kNumHalves> weights_;
+  std::array<WindowPlane, kGuideValuesMax> weights_;
   std::array<int, kWindowVectorsMax> begin_x_, begin_y_;
 };
 
