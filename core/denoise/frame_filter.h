@@ -13,6 +13,9 @@ namespace tessera {
 // Calls body(0) ... body(count - 1), each once, on any threads, and returns when all have.
 using ForEachPart = std::function<void(size_t count, const std::function<void(size_t)>& body)>;
 
+// What any filter keeps for each pixel of its frame, at most: what budgets of memory count with.
+inline constexpr int64_t kKeptBytesPerPixelMax = 160;
+
 // Threads: one call at a time.
 class FrameFilter {
  public:
@@ -28,7 +31,7 @@ class FrameFilter {
   virtual void Filter(const FramePlanes& planes, std::span<const PixelRect> windows,
                       const ForEachPart& for_each_part,
                       const std::function<void(const FilteredPlanes& part)>& put) = 0;
-  // What is kept between calls.
+  // What is kept between calls; at most kKeptBytesPerPixelMax for each pixel.
   virtual int64_t kept_bytes() const = 0;
 };
 

@@ -7,14 +7,16 @@
 #include <set>
 #include <string>
 
+#include "core/denoise/frame_filter.h"
 #include "server/coordinator/coordinator.h"
 
 namespace tessera {
 
 // What a film and its picture take in memory, about. For each pixel a stored node, one that waits
-// for its sibling, the resolved and the filtered planes; for each tile what keeps account of them.
+// for its sibling (184 bytes each), the resolved and the filtered planes (152), and what the filter
+// keeps; for each tile what keeps account of them.
 inline int64_t FilmBytesOf(const TileGrid& grid) {
-  return grid.region().area() * 520 + grid.num_tiles() * 1024;
+  return grid.region().area() * (2 * 184 + 152 + kKeptBytesPerPixelMax) + grid.num_tiles() * 1024;
 }
 
 inline constexpr char kFilmsFull[] =

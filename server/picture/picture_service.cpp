@@ -12,8 +12,9 @@ namespace {
 constexpr int64_t kIntervalMinMs = 100;  // ten previews a second are enough
 constexpr int64_t kRefineAfterMs = 300;  // without news, a job may have come to rest
 constexpr int64_t kIdleKeepMs = 60000;   // how long a picture that nobody looks at is kept
-// Of all pictures that nobody looks at: 16 Mpx of about 176 bytes are 2.8 GiB.
-constexpr int64_t kIdlePixelsMax = int64_t{1} << 24;
+// Of all pictures that nobody looks at: 9 Mpx of about 312 bytes, what the filter keeps included,
+// are 2.7 GiB.
+constexpr int64_t kIdlePixelsMax = int64_t{9} << 20;
 constexpr int64_t kSleepMaxMs = 1000;
 // Of a slice, for each thread: about a second at the default filter's final quality.
 constexpr int64_t kSlicePixels = int64_t{1} << 16;

@@ -22,7 +22,7 @@ TEST(RegressionFrame, KeepsLessThan160BytesAPixel) {
   const SyntheticFrame frame = MakeSyntheticFrame(kBounds, 0.2f, 8, 1);
   RegressionFrame stages({}, kBounds, kBounds);
   stages.Filter(frame.planes, {&kBounds, 1}, OneByOne, Ignore);
-  EXPECT_LT(stages.kept_bytes(), 160 * kBounds.area());
+  EXPECT_LE(stages.kept_bytes(), kKeptBytesPerPixelMax * kBounds.area());
   EXPECT_GT(stages.kept_bytes(), 100 * kBounds.area());
 }
 
