@@ -219,6 +219,15 @@ std::unique_ptr<ChildProcess> StartWorkerProcess(const std::string& address,
       log_path);
 }
 
+std::unique_ptr<ChildProcess> StartFaultyWorkerProcess(const std::string& address,
+                                                       const std::string& log_path,
+                                                       const std::string& name) {
+  return std::make_unique<ChildProcess>(
+      std::vector<std::string>{TESSERA_FAULTY_WORKER, "--server", address, "--threads", "2",
+                               "--name", name, "--verbose"},
+      log_path);
+}
+
 std::string HexDigest(const v1::Job& job) {
   std::string hex;
   for (const char byte : job.digest()) {

@@ -90,6 +90,10 @@ class ServerProcess {
 
 std::unique_ptr<ChildProcess> StartWorkerProcess(const std::string& address,
                                                  const std::string& log_path, int threads = 1);
+// As that, with a renderer that breaks as faulty_renderer.h says.
+std::unique_ptr<ChildProcess> StartFaultyWorkerProcess(const std::string& address,
+                                                       const std::string& log_path,
+                                                       const std::string& name);
 
 std::string HexDigest(const v1::Job& job);
 

@@ -16,9 +16,9 @@ int64_t ThreadNanoseconds() {
 
 }  // namespace
 
-RenderPool::RenderPool(int threads, DeltaEncoding encoding, Done done)
-    : encoding_(encoding), done_(std::move(done)) {
-  for (int i = 0; i < threads; ++i) threads_.emplace_back([this] { Run(); });
+RenderPool::RenderPool(int threads, DeltaEncoding encoding, UnitJournal* journal, Done done)
+    : encoding_(encoding), journal_(journal), done_(std::move(done)) {
+  for (int i = 0; i < threads; ++i) threads_.emplace_back([this, i] { Run(i); });
 }
 
 RenderPool::~RenderPool() {
@@ -56,7 +56,7 @@ int64_t RenderPool::SamplesOf(uint64_t id) const {
   return task == alive_.end() ? 0 : task->second->samples_done.load(std::memory_order_relaxed);
 }
 
-void RenderPool::Run() {
+void RenderPool::Run(int slot) {
   while (true) {
     std::shared_ptr<Task> task;
     {
@@ -66,7 +66,9 @@ void RenderPool::Run() {
       task = std::move(queue_.front());
       queue_.pop_front();
     }
+    if (journal_ != nullptr) journal_->BeginUnit(slot, task->lease);
     absl::StatusOr<v1::TileDelta> delta = Render(*task);
+    if (journal_ != nullptr) journal_->EndUnit(slot);
     {
       std::lock_guard lock(mu_);
       alive_.erase(task->id);

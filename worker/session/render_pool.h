@@ -16,6 +16,7 @@
 #include "core/film/delta_codec.h"
 #include "tessera/v1/worker.pb.h"
 #include "worker/session/renderer.h"
+#include "worker/session/unit_journal.h"
 
 namespace tessera {
 
@@ -25,7 +26,8 @@ class RenderPool {
   // Called once for each task, on a thread of the pool.
   using Done = std::function<void(uint64_t task, absl::StatusOr<v1::TileDelta> delta)>;
 
-  RenderPool(int threads, DeltaEncoding encoding, Done done);
+  // journal: gets what the threads have in hand; null = nobody asks.
+  RenderPool(int threads, DeltaEncoding encoding, UnitJournal* journal, Done done);
   // Cancels all tasks and joins.
   ~RenderPool();
 
@@ -43,10 +45,11 @@ class RenderPool {
     std::atomic<bool> cancelled = false;
     std::atomic<int64_t> samples_done = 0;
   };
-  void Run();
+  void Run(int slot);  // slot: of the journal
   absl::StatusOr<v1::TileDelta> Render(Task& task) const;
 
   const DeltaEncoding encoding_;
+  UnitJournal* const journal_;
   const Done done_;
   mutable std::mutex mu_;
   std::condition_variable cv_;

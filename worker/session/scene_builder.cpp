@@ -38,11 +38,12 @@ BuildOutcome OutcomeOfFetchError(const absl::Status& error) {
 }
 
 SceneBuilder::SceneBuilder(RendererFactory& factory, AssetFetcher& fetcher, int64_t memory_bytes,
-                           int threads, Done done)
+                           int threads, UnitJournal* journal, Done done)
     : factory_(factory),
       fetcher_(fetcher),
       memory_bytes_(memory_bytes),
       threads_(threads),
+      journal_(journal),
       done_(std::move(done)),
       thread_([this] { Run(); }) {}
 
@@ -56,12 +57,13 @@ SceneBuilder::~SceneBuilder() {
   thread_.join();
 }
 
-void SceneBuilder::Build(const std::string& scene, const v1::JobSettings& settings) {
+void SceneBuilder::Build(const std::string& scene, const std::string& job,
+                         const v1::JobSettings& settings) {
   {
     std::lock_guard lock(mu_);
     cancelled_ = false;
     fetcher_.Resume();
-    request_ = Request{scene, settings};
+    request_ = Request{scene, job, settings};
   }
   cv_.notify_all();
 }
@@ -83,7 +85,9 @@ void SceneBuilder::Run() {
       request_.reset();
     }
     std::shared_ptr<const Renderer> renderer;
+    if (journal_ != nullptr) journal_->BeginBuild(request.job);
     BuildOutcome outcome = BuildNow(request.settings, &renderer);
+    if (journal_ != nullptr) journal_->EndBuild();
     done_(request.scene, std::move(outcome), std::move(renderer));
   }
 }

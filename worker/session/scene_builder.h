@@ -15,6 +15,7 @@
 #include "worker/session/asset_fetcher.h"
 #include "worker/session/renderer.h"
 #include "worker/session/session_machine.h"
+#include "worker/session/unit_journal.h"
 
 namespace tessera {
 
@@ -24,19 +25,21 @@ class SceneBuilder {
   using Done = std::function<void(const std::string& scene, BuildOutcome outcome,
                                   std::shared_ptr<const Renderer> renderer)>;
 
-  // Borrows `factory` and `fetcher`. memory_bytes: what one scene may need; 0 = unlimited.
+  // Borrows `factory`, `fetcher` and `journal`, which may be null. memory_bytes: what one scene may
+  // need; 0 = unlimited.
   SceneBuilder(RendererFactory& factory, AssetFetcher& fetcher, int64_t memory_bytes, int threads,
-               Done done);
+               UnitJournal* journal, Done done);
   // Cancels what can be cancelled (fetching), waits for the rest.
   ~SceneBuilder();
 
-  // The build before this one must be done.
-  void Build(const std::string& scene, const v1::JobSettings& settings);
+  // The build before this one must be done. job: for the journal.
+  void Build(const std::string& scene, const std::string& job, const v1::JobSettings& settings);
   void Cancel();
 
  private:
   struct Request {
     std::string scene;
+    std::string job;
     v1::JobSettings settings;
   };
   void Run();
@@ -46,6 +49,7 @@ class SceneBuilder {
   AssetFetcher& fetcher_;
   const int64_t memory_bytes_;
   const int threads_;
+  UnitJournal* const journal_;
   const Done done_;
   std::mutex mu_;
   std::condition_variable cv_;

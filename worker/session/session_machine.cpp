@@ -239,9 +239,8 @@ void SessionMachine::On(const session_event::StreamClosed& event) {
 }
 
 void SessionMachine::AbandonSession() {
-  for (auto& [task, lease] : tasks_) {
-    if (lease != 0) Emit(CancelRender{task});
-    lease = 0;
+  for (auto& [id, task] : tasks_) {
+    if (task.lease != 0) CancelTask(id, &task);
   }
   leases_.clear();
   waiting_.clear();
@@ -254,7 +253,7 @@ void SessionMachine::AbandonSession() {
 void SessionMachine::On(session_event::Rendered& event) {
   const auto task = tasks_.find(event.task);
   if (task == tasks_.end()) return;
-  const uint64_t lease_id = task->second;
+  const uint64_t lease_id = task->second.lease;
   tasks_.erase(task);
   renders_may_start_ = true;
   if (lease_id == 0) return;
@@ -293,6 +292,7 @@ void SessionMachine::On(const session_event::Timer&) {
   }
   if (phase_ == Phase::kServing && now_ >= heartbeat_time_) {
     heartbeat_time_ = now_ + heartbeat_interval_;
+    WatchCancelledTasks();
     const bool queued = std::any_of(control_.begin(), control_.end(),
                                     [](const auto& message) { return message.has_heartbeat(); });
     if (queued) return;  // the link is slow: it will carry the newest list when it moves
@@ -351,7 +351,7 @@ void SessionMachine::StartRenders() {
       *ready->mutable_report() = scene->second.outcome.report;
     }
     held.task = ++last_task_;
-    tasks_[held.task] = *id;
+    tasks_[held.task].lease = *id;
     Emit(StartRender{held.task, held.scene, held.lease});
     id = waiting_.erase(id);
   }
@@ -391,7 +391,7 @@ void SessionMachine::FillHeartbeat(v1::Heartbeat* heartbeat) const {
       progress.set_state(v1::LeaseProgress::STATE_SENDING);
     } else if (held.task != 0) {
       progress.set_state(v1::LeaseProgress::STATE_RENDERING);
-      if (options_.samples_of) progress.set_samples(options_.samples_of(held.task));
+      progress.set_samples(SamplesOf(held.task));
     } else if (scene != scenes_.end() && scene->second.state == SceneEntry::State::kReady) {
       progress.set_state(v1::LeaseProgress::STATE_WAITING);
     } else {
@@ -443,10 +443,33 @@ void SessionMachine::EraseLease(uint64_t lease_id) {
   } else if (held->second.rendered) {
     std::erase_if(deltas_, [&](const auto& m) { return m.delta().lease_id() == lease_id; });
   } else if (const auto running = tasks_.find(task); running != tasks_.end()) {
-    running->second = 0;
-    Emit(CancelRender{task});
+    CancelTask(task, &running->second);
   }
   leases_.erase(held);
+}
+
+int64_t SessionMachine::SamplesOf(uint64_t task) const {
+  return options_.samples_of ? options_.samples_of(task) : 0;
+}
+
+void SessionMachine::CancelTask(uint64_t id, Task* task) {
+  *task = {.lease = 0, .samples = SamplesOf(id), .moved = now_};
+  Emit(CancelRender{id});
+}
+
+// A render that hangs holds its thread for ever, and the next worker's if it is the scene's fault.
+void SessionMachine::WatchCancelledTasks() {
+  for (auto& [id, task] : tasks_) {
+    if (task.lease != 0 || task.given_up) continue;
+    if (const int64_t samples = SamplesOf(id); samples != task.samples) {
+      task.samples = samples;
+      task.moved = now_;
+    } else if (now_ - task.moved >= kHungAfter) {
+      task.given_up = true;
+      Emit(GiveUp{absl::StrCat("a render has hung since it was cancelled ",
+                               seconds(kHungAfter).count(), " s ago")});
+    }
+  }
 }
 
 void SessionMachine::LogLine(std::string line, LogLevel level) {

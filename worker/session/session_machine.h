@@ -92,6 +92,7 @@ struct AbortStream {};  // at once; StreamClosed follows
 struct BuildScene {     // one at a time
   std::string scene;
   v1::JobSettings settings;
+  std::string job;  // a job that waits for it
 };
 struct CancelBuild {};
 struct DropScene {
@@ -104,6 +105,9 @@ struct StartRender {
 };
 struct CancelRender {
   uint64_t task = 0;
+};
+struct GiveUp {  // a render neither ends nor moves: only the end of the process ends it
+  std::string why;
 };
 struct Log {
   LogLevel level = LogLevel::kInfo;
@@ -118,8 +122,8 @@ using SessionEffect =
     std::variant<session_effect::OpenStream, session_effect::Write, session_effect::HalfClose,
                  session_effect::AbortStream, session_effect::BuildScene,
                  session_effect::CancelBuild, session_effect::DropScene,
-                 session_effect::StartRender, session_effect::CancelRender, session_effect::Log,
-                 session_effect::Finish>;
+                 session_effect::StartRender, session_effect::CancelRender, session_effect::GiveUp,
+                 session_effect::Log, session_effect::Finish>;
 
 // Threads: none; the caller serialises calls.
 class SessionMachine {
@@ -130,6 +134,8 @@ class SessionMachine {
   static constexpr size_t kScenesMax = 64;  // remembered, failed ones included
   static constexpr size_t kControlMessagesMax = 3 * kLeasesMax;
   static constexpr int64_t kLeasePixelsMax = 256 * 256;
+  // A cancelled render that does no sample for so long hangs.
+  static constexpr std::chrono::seconds kHungAfter{20};
 
   explicit SessionMachine(const SessionOptions& options);
 
@@ -163,6 +169,13 @@ class SessionMachine {
     std::string scene;
     uint64_t task = 0;      // 0 = waits
     bool rendered = false;  // its delta is in deltas_
+  };
+  struct Task {
+    uint64_t lease = 0;  // 0 = cancelled
+    // Of a cancelled one: the samples that it had done when it last moved, and when that was.
+    int64_t samples = 0;
+    SessionTime moved;
+    bool given_up = false;
   };
   struct SceneEntry {
     enum class State {
@@ -209,6 +222,9 @@ class SessionMachine {
   void CloseFor(const std::string& why);
   void Decline(uint64_t lease_id, v1::DeclineLease::Reason reason, const std::string& detail);
   void EraseLease(uint64_t lease_id);
+  void CancelTask(uint64_t id, Task* task);
+  void WatchCancelledTasks();
+  int64_t SamplesOf(uint64_t task) const;
   void FailScene(const std::string& job, const std::string& error);
   void ForgetScene(const std::string& scene);
   std::set<std::string> ScenesInUse() const;
@@ -245,7 +261,7 @@ class SessionMachine {
   std::deque<uint64_t> waiting_;    // lease ids in order of arrival
   bool renders_may_start_ = false;  // something has changed that may let a waiting lease start
   uint64_t last_task_ = 0;
-  std::map<uint64_t, uint64_t> tasks_;  // running task -> lease id, 0 = cancelled
+  std::map<uint64_t, Task> tasks_;  // that run or are about to
 
   std::deque<v1::WorkerMessage> control_;
   std::deque<v1::WorkerMessage> deltas_;

@@ -34,7 +34,7 @@ void SessionMachine::SettleLease(uint64_t id, HeldLease& held) {
     building_ = held.scene;
     build_cancelled_ = false;
     scenes_[held.scene].last_use = ++use_counter_;
-    Emit(BuildScene{held.scene, jobs_[job].settings});
+    Emit(BuildScene{held.scene, jobs_[job].settings, job});
     return;
   }
   SceneEntry& scene = found->second;

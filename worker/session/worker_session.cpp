@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <condition_variable>
+#include <cstdlib>
 #include <deque>
 #include <map>
 #include <mutex>
@@ -54,6 +55,7 @@ SessionOptions MachineOptions(const WorkerOptions& options, uint64_t jitter_seed
     session.hello.add_arithmetic(ArithmeticOf(isa));
   }
   session.hello.set_same_process(options.same_process);
+  for (const v1::CrashReport& crash : options.crashes) *session.hello.add_crashes() = crash;
   return session;
 }
 
@@ -96,6 +98,7 @@ class WorkerSession::Impl {
   void Apply(session_effect::DropScene& effect);
   void Apply(session_effect::StartRender& effect);
   void Apply(session_effect::CancelRender& effect) { pool_->Cancel(effect.task); }
+  void Apply(session_effect::GiveUp& effect);
   void Apply(session_effect::Log& effect) {
     if (options_.log) options_.log(effect.level, effect.line);
   }
@@ -125,12 +128,13 @@ class WorkerSession::Impl {
 absl::Status WorkerSession::Impl::Run() {
   const DeltaEncoding encoding =
       options_.same_process ? DeltaEncoding::kPacked : DeltaEncoding::kPackedZstd;
-  pool_ = std::make_unique<RenderPool>(options_.threads, encoding,
+  pool_ = std::make_unique<RenderPool>(options_.threads, encoding, options_.journal,
                                        [this](uint64_t task, absl::StatusOr<v1::TileDelta> delta) {
                                          Post(session_event::Rendered{task, std::move(delta)});
                                        });
   builder_ =
       std::make_unique<SceneBuilder>(*factory_, fetcher_, options_.memory_bytes, options_.threads,
+                                     options_.journal,
                                      [this](const std::string& scene, BuildOutcome outcome,
                                             std::shared_ptr<const Renderer> renderer) {
                                        OnBuilt(scene, std::move(outcome), std::move(renderer));
@@ -180,7 +184,7 @@ void WorkerSession::Impl::Apply(session_effect::OpenStream&) {
 }
 
 void WorkerSession::Impl::Apply(session_effect::BuildScene& effect) {
-  builder_->Build(effect.scene, effect.settings);
+  builder_->Build(effect.scene, effect.job, effect.settings);
 }
 
 void WorkerSession::Impl::Apply(session_effect::DropScene& effect) {
@@ -190,6 +194,12 @@ void WorkerSession::Impl::Apply(session_effect::DropScene& effect) {
     dropped = std::move(scene->second);
     scenes_.erase(scene);
   }
+}
+
+void WorkerSession::Impl::Apply(session_effect::GiveUp& effect) {
+  if (options_.log) options_.log(LogLevel::kWarning, effect.why);
+  // What supervises the process starts another, which reports what hung.
+  if (options_.journal != nullptr) std::abort();
 }
 
 void WorkerSession::Impl::Apply(session_effect::StartRender& effect) {

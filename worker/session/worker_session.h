@@ -8,10 +8,12 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "worker/session/renderer.h"
 #include "worker/session/session_machine.h"
+#include "worker/session/unit_journal.h"
 
 namespace tessera {
 
@@ -22,6 +24,8 @@ struct WorkerOptions {
   int connect_attempts_max = 0;            // 0 = for ever
   int64_t cache_bytes = int64_t{1} << 30;  // of fetched files kept for the next scene
   std::string name;                        // shown by the server; empty = the host's name
+  UnitJournal* journal = nullptr;          // gets what is in hand; must outlive the session
+  std::vector<v1::CrashReport> crashes{};  // of the processes before this one, told to each server
   // One line about what happens; null = silent. Called on the thread of Run.
   std::function<void(LogLevel level, const std::string& line)> log;
 };

@@ -133,17 +133,20 @@ class Driver {
   int aborted = 0;
   int half_closed = 0;
   int build_cancels = 0;
+  int given_up = 0;
+  int64_t samples_done = 0;  // of each task, as the machine is told
 
   const SessionMachine& machine() const { return machine_; }
   SessionTime now() const { return now_; }
 
  private:
-  static SessionOptions Options(int threads, int64_t memory_bytes, int attempts_max) {
+  SessionOptions Options(int threads, int64_t memory_bytes, int attempts_max) {
     SessionOptions options;
     options.threads = threads;
     options.memory_bytes = memory_bytes;
     options.connect_attempts_max = attempts_max;
     options.jitter_seed = 7;
+    options.samples_of = [this](uint64_t) { return samples_done; };
     return options;
   }
   void Sort(SessionEffect& effect) {
@@ -164,6 +167,7 @@ class Driver {
     if (std::holds_alternative<AbortStream>(effect)) ++aborted;
     if (std::holds_alternative<HalfClose>(effect)) ++half_closed;
     if (std::holds_alternative<CancelBuild>(effect)) ++build_cancels;
+    if (std::holds_alternative<GiveUp>(effect)) ++given_up;
   }
 
   SessionMachine machine_;

@@ -80,6 +80,47 @@ TEST(SessionMachine, HeartbeatsNameAllLeasesThatAreHeld) {
   EXPECT_THAT(d.sent, SizeIs(2)) << "late heartbeats do not pile up";
 }
 
+TEST(SessionMachine, HeartbeatsSayHowFarRendersAre) {
+  Driver d(1);
+  d.ServeScene({1});
+  d.Flush();
+  d.sent.clear();
+  d.samples_done = 77;
+  d.Advance(seconds(3));
+  ASSERT_THAT(d.sent, SizeIs(1));
+  EXPECT_EQ(d.sent[0].heartbeat().leases(0).samples(), 77);
+}
+
+TEST(SessionMachine, ARenderThatHangsAfterItsCancellationEndsTheProcess) {
+  Driver d(1);
+  d.ServeScene({1, 2});
+  d.Flush();
+  v1::CoordinatorMessage revoke;
+  revoke.mutable_revoke()->set_id(1);
+  d.Receive(revoke);
+  for (int i = 0; i < 20; ++i) {  // slow to notice, but it moves
+    ++d.samples_done;
+    d.Advance(seconds(3));
+    d.Flush();
+  }
+  EXPECT_EQ(d.given_up, 0);
+  for (int i = 0; i < 20; ++i) {
+    d.Advance(seconds(3));
+    d.Flush();
+  }
+  EXPECT_EQ(d.given_up, 1) << "once";
+}
+
+TEST(SessionMachine, ARenderThatIsNotCancelledIsTheServersToJudge) {
+  Driver d(1);
+  d.ServeScene({1});
+  for (int i = 0; i < 100; ++i) {
+    d.Advance(seconds(3));
+    d.Flush();
+  }
+  EXPECT_EQ(d.given_up, 0);
+}
+
 TEST(SessionMachine, RevokedLeasesAreCancelledAndNotReported) {
   Driver d(1);
   d.ServeScene({1, 2, 3});
