@@ -72,6 +72,19 @@ absl::StatusOr<std::vector<v1::Job>> FarmClient::ListJobs() {
   return jobs;
 }
 
+absl::StatusOr<v1::Job> FarmClient::LookJob(const std::string& name,
+                                            const std::optional<v1::Region>& region) {
+  v1::LookJobRequest request;
+  request.set_name(name);
+  request.set_request_id(NewRequestId());
+  if (region) *request.mutable_region() = *region;
+  v1::Job job;
+  const absl::Status status = caller_.Call(
+      [&](grpc::ClientContext* context) { return jobs_->LookJob(context, request, &job); });
+  if (!status.ok()) return status;
+  return job;
+}
+
 absl::StatusOr<v1::Job> FarmClient::PauseJob(const std::string& name) {
   v1::PauseJobRequest request;
   request.set_name(name);

@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <stop_token>
 #include <string>
 #include <vector>
@@ -73,6 +74,8 @@ class FarmClient {
   absl::StatusOr<v1::Job> GetJob(const std::string& name);
   // All jobs, page by page.
   absl::StatusOr<std::vector<v1::Job>> ListJobs();
+  // What is rendered first from now on; nullopt: nothing in particular.
+  absl::StatusOr<v1::Job> LookJob(const std::string& name, const std::optional<v1::Region>& region);
   absl::StatusOr<v1::Job> PauseJob(const std::string& name);
   absl::StatusOr<v1::Job> ResumeJob(const std::string& name);
   absl::StatusOr<v1::Job> CancelJob(const std::string& name);

@@ -18,8 +18,10 @@ CoordinatorHost::CoordinatorHost(CoordinatorConfig config, EffectSink& sink,
 
 CoordinatorHost::Answer CoordinatorHost::Post(Event event) {
   std::lock_guard lock(mu_);
+  const auto begin = std::chrono::steady_clock::now();
   const StepResult result = coordinator_.Step(std::move(event), clock_());
   for (const Effect& effect : result.effects) sink_.Apply(effect);
+  busy_ns_ += std::chrono::nanoseconds(std::chrono::steady_clock::now() - begin).count();
   return {result.status, result.job, result.is_new};
 }
 

@@ -1,6 +1,7 @@
 // Runs a Coordinator for many threads: one lock, the clock, and effects handed on in order.
 #pragma once
 
+#include <atomic>
 #include <functional>
 #include <mutex>
 #include <utility>
@@ -33,6 +34,8 @@ class CoordinatorHost {
     bool is_new = false;  // CreateJobEvent
   };
   Answer Post(Event event);
+  // The nanoseconds that Post has worked since the last call of this.
+  int64_t TakeBusyNs() { return busy_ns_.exchange(0); }
 
   // Calls query(const Coordinator&) under the lock; it must be quick.
   template <typename Query>
@@ -46,6 +49,7 @@ class CoordinatorHost {
   Coordinator coordinator_;  // guarded by mu_
   EffectSink& sink_;
   const std::function<Instant()> clock_;
+  std::atomic<int64_t> busy_ns_ = 0;
 };
 
 }  // namespace tessera

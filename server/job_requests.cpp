@@ -87,15 +87,30 @@ absl::Status JobRequests::Command(JobCommand command, const std::string& name,
   const CoordinatorHost::Answer answer = host_.Post(JobCommandEvent{command, *id, request_id});
   if (!answer.status.ok()) return answer.status;
   const absl::Status kept =
-      command == JobCommand::kDelete ? keeper_.remove(*id) : keeper_.save(*id);
-  if (!kept.ok()) {
-    // The job has changed, and its row is written again later; until then a restart may undo it.
-    ServerLog().error("job={} {}", *id, std::string(kept.message()));
-    return absl::UnavailableError(
-        absl::StrCat("the server cannot write down that ", name, " has changed, and would forget "
-                     "it in a restart: repeat the call (", kept.message(), ")"));
-  }
+      Keep(*id, command == JobCommand::kDelete ? keeper_.remove : keeper_.save);
+  if (!kept.ok()) return kept;
   return response == nullptr ? absl::OkStatus() : Get(name, response);
+}
+
+absl::Status JobRequests::Look(const v1::LookJobRequest& request, v1::Job* response) {
+  const absl::StatusOr<JobId> id = ParseJobName(request.name());
+  if (!id.ok()) return id.status();
+  LookEvent event{.job = *id, .request_id = request.request_id()};
+  if (request.has_region()) event.region = request.region();
+  const CoordinatorHost::Answer answer = host_.Post(std::move(event));
+  if (!answer.status.ok()) return answer.status;
+  const absl::Status kept = Keep(*id, keeper_.save);
+  return kept.ok() ? Get(request.name(), response) : kept;
+}
+
+absl::Status JobRequests::Keep(JobId job, const std::function<absl::Status(JobId)>& write) {
+  const absl::Status kept = write(job);
+  if (kept.ok()) return kept;
+  // The job has changed, and its row is written again later; until then a restart may undo it.
+  ServerLog().error("job={} {}", job, std::string(kept.message()));
+  return absl::UnavailableError(
+      absl::StrCat("the server cannot write down that ", JobName(job), " has changed, and would "
+                   "forget it in a restart: repeat the call (", kept.message(), ")"));
 }
 
 }  // namespace tessera

@@ -36,8 +36,11 @@ class JobRequests {
   // FAILED_PRECONDITION; UNAVAILABLE if the job has changed but the change is not durable yet.
   absl::Status Command(JobCommand command, const std::string& name, const std::string& request_id,
                        v1::Job* response);
+  // Errors: as Command's.
+  absl::Status Look(const v1::LookJobRequest& request, v1::Job* response);
 
  private:
+  absl::Status Keep(JobId job, const std::function<absl::Status(JobId)>& write);
   absl::StatusOr<std::shared_ptr<Film>> ReadFilm(const std::string& sha256,
                                                  const v1::JobSettings& settings);
 

@@ -33,7 +33,7 @@ int Refuse(const absl::Status& status) {
 
 struct Arguments {
   ServiceOptions service;
-  double lease_ttl_seconds = 10;
+  double lease_ttl_seconds = 2;
   std::string port_file;
   bool verbose = false;
 };
@@ -54,7 +54,7 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
       ->transform(CLI::AsSizeValue(false))
       ->capture_default_str();
   app.add_option("--lease-ttl", arguments.lease_ttl_seconds,
-                 "Seconds after which the work of a silent worker is given to another")
+                 "Seconds without progress after which a worker's tile is given to another")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();
   app.add_option("--audit-rate", service.audit_rate,

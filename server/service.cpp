@@ -95,6 +95,10 @@ class Service::Impl : public EffectSink {
   absl::StatusOr<std::shared_ptr<const Film>> FilmOf(JobId job);
   PictureSource MakePictureSource();
 
+  // The share of the time since the last call in which deltas were decoded, on all cores, or the
+  // coordinator was busy; whichever is greater.
+  double IngestLoad();
+
   void On(const SendEffect& e) { sessions_->Send(e.session, e.message); }
   void On(const CloseSessionEffect& e) { sessions_->End(e.session, e.status); }
   void On(const JobChangedEffect& e) { watchers_->Notify(e.job); }
@@ -126,6 +130,7 @@ class Service::Impl : public EffectSink {
   std::unique_ptr<WorkerService> worker_service_;
   std::atomic<bool> stopping_{false};
   std::thread pump_;
+  int64_t load_at_ms_ = 0;  // pump_ only
 };
 
 void Service::Impl::Apply(const Effect& effect) {
@@ -207,6 +212,16 @@ PictureSource Service::Impl::MakePictureSource() {
     host_->Post(event);
   };
   return source;
+}
+
+double Service::Impl::IngestLoad() {
+  const int64_t now_ms = Now().monotonic_ms;
+  const double elapsed_ns =
+      1e6 * static_cast<double>(now_ms - std::exchange(load_at_ms_, now_ms));
+  const double cores = std::max(1u, std::thread::hardware_concurrency());
+  const double busy_ns = std::max(static_cast<double>(host_->TakeBusyNs()),
+                                  static_cast<double>(sessions_->TakeDecodeNs()) / cores);
+  return elapsed_ns > 0 ? busy_ns / elapsed_ns : 0;
 }
 
 void Service::Impl::MakeServices(const ServiceOptions& options) {
@@ -303,7 +318,7 @@ absl::Status Service::Impl::Start(const ServiceOptions& options) {
       watchers_->Pump();
       if (i % kPumpsPerTick != 0) continue;
       sessions_->Pump(Now().monotonic_ms);
-      host_->Post(TickEvent{});
+      host_->Post(TickEvent{IngestLoad()});
     }
   });
   return absl::OkStatus();

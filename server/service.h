@@ -21,7 +21,7 @@ struct ServiceOptions {
   int64_t data_bytes_max = int64_t{64} << 30;  // quota of assets and films; 0 = unlimited
   int filter_threads = 0;          // 0 = all
   int tile_size = 32;              // default of jobs that name none
-  std::chrono::milliseconds lease_ttl{10000};
+  std::chrono::milliseconds lease_ttl{2000};
   double audit_rate = 0;           // of all units, rendered on two hosts and compared
   bool insecure = false;           // plaintext on other than loopback addresses
   TlsFiles tls{};                  // of the gRPC and the HTTP port

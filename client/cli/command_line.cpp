@@ -83,6 +83,8 @@ void AddSceneFlags(CLI::App* command, SceneFlags* flags) {
   add("Camera", "--focus-distance", &flags->focus_distance, "Metres");
   add("Frame", "--size", &flags->size, "WIDTHxHEIGHT in pixels (640x360)");
   add("Frame", "--region", &flags->region, "X,Y,W,H: render only these pixels");
+  add("Frame", "--look", &flags->look,
+      "X,Y,W,H: render these pixels before the others; moves no bit of the picture");
   add("Frame", "--tile-size", &flags->tile_size, "Pixels; moves no bit of the picture");
   add("Sampling", "--spp", &flags->spp,
       "Samples per pixel (64; with --target-error or --max-time: as many as it takes)");
@@ -203,6 +205,10 @@ class CommandTable {
     fetch->add_flag("--json", fetch_.json, "The job and the outputs as one JSON object on stdout");
     AddOutputFlags(fetch, &fetch_.output);
     AddConnectFlags(fetch, &fetch_.connect);
+    CLI::App* look = Add("look", "Say what a job shall render first from now on",
+                         [this] { return RunLook(look_); });
+    AddJobFlags(look, &look_.job, true);
+    look->add_option("region", look_.region, "X,Y,W,H in pixels of the frame, or none")->required();
     AddJobFlags(Add("pause", "Hand out no more of a job", [this] { return RunPause(job_); }), &job_,
                 true);
     AddJobFlags(Add("resume", "Go on with a paused job", [this] { return RunResume(job_); }), &job_,
@@ -280,6 +286,7 @@ class CommandTable {
   CLI::App app_{"Renders glTF scenes, here or on as many machines as there are."};
   RenderFlags render_;
   JobFlags job_;
+  LookFlags look_;
   FetchFlags fetch_;
   DenoiseFlags denoise_;
   CompareFlags compare_;

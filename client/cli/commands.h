@@ -17,6 +17,7 @@ absl::Status RunList(const JobFlags& flags);
 absl::Status RunShow(const JobFlags& flags);
 absl::Status RunWatch(const JobFlags& flags);
 absl::Status RunFetch(const FetchFlags& flags);
+absl::Status RunLook(const LookFlags& flags);
 absl::Status RunPause(const JobFlags& flags);
 absl::Status RunResume(const JobFlags& flags);
 absl::Status RunCancel(const JobFlags& flags);

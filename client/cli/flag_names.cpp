@@ -14,6 +14,7 @@ std::string WithFlagNames(std::string text) {
                 {"settings.width", "--size"},
                 {"settings.height", "--size"},
                 {"settings.region", "--region"},
+                {"settings.look", "--look"},
                 {"settings.tile_size", "--tile-size"},
                 {"settings.spp", "--spp"},
                 {"settings.max_depth", "--max-depth"},

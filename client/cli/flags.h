@@ -31,6 +31,7 @@ struct SceneFlags {
   std::string focus_distance;
   std::string size;
   std::string region;
+  std::string look;
   std::string tile_size;
   std::string spp;
   std::string target_error;
@@ -66,6 +67,11 @@ struct JobFlags {
   ConnectFlags connect;
   bool json = false;
   bool quiet = false;
+};
+
+struct LookFlags {
+  JobFlags job;
+  std::string region;  // or "none"
 };
 
 struct FetchFlags {

@@ -118,10 +118,17 @@ void ReadFrame(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* set
   });
   reader->Read("--region", flags.region, ParseRegion,
                [&](const v1::Region& region) { *settings->mutable_region() = region; });
-  const v1::Region& region = settings->region();
-  if (settings->has_region() && (region.x() + region.width() > settings->width() ||
-                                 region.y() + region.height() > settings->height())) {
-    reader->Fail(absl::StrCat("--region ", region.x(), ",", region.y(), ",", region.width(), ",",
+  settings->clear_look();
+  reader->Read("--look", flags.look, ParseRegion,
+               [&](const v1::Region& region) { *settings->mutable_look() = region; });
+  for (const char* flag : {"--region", "--look"}) {
+    const v1::Region& region = flag == std::string("--look") ? settings->look()
+                                                             : settings->region();
+    if (region.x() + region.width() <= settings->width() &&
+        region.y() + region.height() <= settings->height()) {
+      continue;
+    }
+    reader->Fail(absl::StrCat(flag, " ", region.x(), ",", region.y(), ",", region.width(), ",",
                               region.height(), ": must lie inside the frame of ",
                               settings->width(), "x", settings->height(), " pixels; see --size"));
   }

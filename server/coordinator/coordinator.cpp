@@ -38,7 +38,8 @@ StepResult Coordinator::Step(Event event, Instant now) {
   return std::move(result_);
 }
 
-void Coordinator::On(TickEvent&) {
+void Coordinator::On(TickEvent& event) {
+  NoteIngest(event.ingest_load);
   for (auto& [id, job] : jobs_) {
     if (!job->IsOpen()) continue;
     CheckTime(*job);
@@ -107,7 +108,8 @@ std::vector<Coordinator::LeaseView> Coordinator::ListLeases() const {
   std::vector<LeaseView> leases;
   leases.reserve(leases_.size());
   for (const auto& [id, lease] : leases_) {
-    leases.push_back({id, lease.session, lease.job, lease.unit, lease.expires_ms, lease.is_race});
+    leases.push_back({id, lease.session, lease.job, lease.unit, lease.expires_ms, lease.is_race,
+                      lease.state, lease.samples});
   }
   return leases;
 }

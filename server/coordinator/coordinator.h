@@ -33,7 +33,11 @@ struct CoordinatorConfig {
   JobId first_job = 1;       // ids of new jobs begin here
   std::string version;       // workers must have the same
   SettingsDefaults defaults;
-  int64_t lease_ttl_ms = 10000;
+  // A lease that has made no progress for so long is another worker's.
+  int64_t lease_ttl_ms = 2000;
+  // How long a thread shall take for a lease: ranges are cut to its speed, and grow while deltas
+  // keep the server busy.
+  int64_t lease_target_ms = 500;
   int64_t checkpoint_interval_ms = 30000;
   // How many of all units are rendered a second time, on another host, and compared before they
   // count: 0 = none, 1 = all. Which ones they are is drawn from audit_seed, which nobody may guess.
@@ -68,6 +72,8 @@ class Coordinator {
     Unit unit;
     int64_t expires_ms = 0;  // monotonic
     bool is_race = false;    // of a unit that another session has, too
+    v1::LeaseProgress::State state = v1::LeaseProgress::STATE_UNSPECIFIED;  // as last reported
+    int64_t samples = 0;     // done, as last reported
   };
   std::vector<LeaseView> ListLeases() const;
 
@@ -91,6 +97,8 @@ class Coordinator {
     int64_t issued_ms = 0;
     int64_t expires_ms = 0;
     bool is_race = false;
+    v1::LeaseProgress::State state = v1::LeaseProgress::STATE_UNSPECIFIED;
+    int64_t samples = 0;  // done, as far as it was told
   };
   struct RequestRecord {
     std::string kind;
@@ -100,6 +108,7 @@ class Coordinator {
   // Events.
   void On(CreateJobEvent& event);
   void On(JobCommandEvent& event);
+  void On(LookEvent& event);
   void On(RestoreJobEvent& event);
   void On(FilmStoredEvent& event);
   void On(WorkerConnectedEvent& event);
@@ -126,6 +135,7 @@ class Coordinator {
   void Delete(JobId id);
   void SetState(Job& job, v1::JobState state);
   void StartQueue(Job& job);
+  void ApplyLook(Job& job);
   void Finish(Job& job, v1::StopReason reason);
   absl::Status CheckFirstFilm(const Job& job) const;
   void GoOn(Job& job);  // after a restart
@@ -142,7 +152,7 @@ class Coordinator {
   absl::Status CheckDelta(const Job& job, const DeltaEvent& event) const;
   void Merge(Job& job, DeltaEvent& event);
   void OnPassCommitted(Job& job);
-  std::optional<Unit> TakeUnit(Job& job);
+  std::optional<Unit> TakeUnit(Job& job, int64_t size_max);
   void OpenNextEpoch(Job& job);
   bool NextEpochFits(const Job& job) const;
   void CheckTime(Job& job);
@@ -169,13 +179,19 @@ class Coordinator {
   void CloseWorker(SessionId session, const absl::Status& status);
   void RemoveWorker(SessionId session);
   void GrantAll();
+  bool GrantRound(bool stalled);
   bool GrantOne(Worker& worker);
   bool GrantFrom(std::vector<Job*>& jobs, Worker& worker);
+  int64_t LeaseSize(const Worker& worker, const Job& job) const;
+  void NoteSpeed(Worker& worker, const Job& job, const Lease& lease, const DeltaEvent& event);
+  void NoteIngest(double load);
   void Grant(Worker& worker, Job& job, const Unit& unit);
   bool Race(Worker& worker);
   bool CanServe(const Worker& worker, const Job& job) const;
   void DropLease(LeaseId id, bool revoke);
   void DropLeasesOf(Job& job, const Unit& unit);
+  bool NoteProgress(const v1::LeaseProgress& progress, Lease* lease);
+  void Renew(LeaseId id);
   void ExpireLeases();
   bool IsSilent(const Worker& worker) const;
   bool FitsMemory(const Job& job) const;
@@ -193,6 +209,7 @@ class Coordinator {
   uint64_t revision_ = 0;
   JobId next_job_;
   LeaseId next_lease_ = 1;
+  double lease_scale_ = 1;  // of lease_target_ms, by the server's load
   uint64_t next_worker_ = 1;
   std::map<JobId, std::unique_ptr<Job>> jobs_;
   std::set<std::pair<int, JobId>> order_;  // (-priority, job) of jobs that want leases

@@ -6,6 +6,7 @@
 #include "server/coordinator/coordinator_state.h"
 #include "server/coordinator/limits.h"
 #include "server/coordinator/sample_counts.h"
+#include "server/coordinator/tile_noise.h"
 
 namespace tessera {
 namespace {
@@ -285,6 +286,11 @@ void Coordinator::StartQueue(Job& job) {
   job.queue = std::make_unique<TileQueue>(
       schedule, job.grid.num_tiles(), std::move(committed),
       s.has_replay() ? ExpandCounts(s.replay().counts()) : std::vector<int64_t>());
+  for (int64_t tile = 0; job.film->samples() > 0 && tile < job.grid.num_tiles(); ++tile) {
+    const std::vector<TileStatistics>& nodes = job.film->Nodes(tile);
+    if (!nodes.empty()) job.queue->NoteNoise(tile, NoiseOf(nodes.front()));
+  }
+  ApplyLook(job);
   job.start_spp = job.queue->committed_spp();
   job.saved_film_ms = now_.monotonic_ms;
   UpdateProgress(job);
@@ -293,6 +299,40 @@ void Coordinator::StartQueue(Job& job) {
   } else {
     OpenNextEpoch(job);
   }
+}
+
+void Coordinator::On(LookEvent& event) {
+  const std::string kind = absl::StrCat("look ", JobName(event.job));
+  JobId repeated = 0;
+  if (RepeatsRequest(event.request_id, kind, &repeated)) return;
+  Job* const job = FindJob(event.job);
+  if (job == nullptr) return;
+  v1::JobSettings& settings = *job->record.mutable_settings();
+  if (event.region) {
+    result_.status = CheckRegion(settings, *event.region, "region");
+    if (!result_.status.ok()) return;
+    *settings.mutable_look() = *event.region;
+  } else {
+    settings.clear_look();
+  }
+  RememberRequest(event.request_id, kind, event.job);
+  if (job->queue != nullptr) ApplyLook(*job);
+  Touch(*job);
+  Save(*job, false);
+}
+
+void Coordinator::ApplyLook(Job& job) {
+  const v1::JobSettings& settings = job.record.settings();
+  if (!settings.has_look()) return job.queue->Look({});
+  const PixelRect look = RectOf(settings.look());
+  std::vector<bool> tiles(static_cast<size_t>(job.grid.num_tiles()));
+  bool any = false;
+  for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) {
+    const bool is_seen = !job.grid.WindowOf(tile).Intersect(look).empty();
+    tiles[static_cast<size_t>(tile)] = is_seen;
+    any = any || is_seen;
+  }
+  job.queue->Look(any ? std::move(tiles) : std::vector<bool>());
 }
 
 void Coordinator::On(JobCommandEvent& event) {

@@ -1,5 +1,9 @@
 // Workers that come, vanish and return, and the leases that they hold.
 #include <algorithm>
+#include <bit>
+#include <cmath>
+#include <tuple>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "core/base/isa_classes.h"
@@ -14,6 +18,12 @@ namespace {
 constexpr size_t kSharingJobsMax = 8;
 constexpr int64_t kAssetRetryMs = 5000;
 constexpr int64_t kMemoryUnit = int64_t{1} << 20;
+// Of a scene of which nothing is known yet.
+constexpr double kUnknownNsPerSample = 5000;
+// Shares of the server's time that deltas take: leases grow above the one, shrink below the other.
+constexpr double kBusyIngest = 0.5;
+constexpr double kIdleIngest = 0.25;
+constexpr double kLeaseScaleMax = 16;
 
 absl::Status CheckHello(const v1::Hello& hello, const std::string& version) {
   if (hello.version() != version) {
@@ -116,16 +126,49 @@ void Coordinator::On(WorkerConnectedEvent& event) {
 
 void Coordinator::On(WorkerGoneEvent& event) { RemoveWorker(event.session); }
 
+// Whether the lease has come further since it was last heard of. Reports may overtake each other.
+bool Coordinator::NoteProgress(const v1::LeaseProgress& progress, Lease* lease) {
+  const std::pair now{progress.state(), progress.samples()};
+  const bool has_moved = now > std::pair{lease->state, lease->samples};
+  if (has_moved) std::tie(lease->state, lease->samples) = now;
+  return has_moved;
+}
+
+void Coordinator::Renew(LeaseId id) {
+  Lease& lease = leases_.at(id);
+  expiries_.erase({lease.expires_ms, id});
+  lease.expires_ms = now_.monotonic_ms + config_.lease_ttl_ms;
+  expiries_.insert({lease.expires_ms, id});
+}
+
+// A render renews its lease by the samples that it has done since it was last heard of, not by the
+// session that speaks of it: that one lives on when the render hangs. A lease that waits for a
+// thread goes with those that have one. Building a scene and sending a delta are not measured.
 void Coordinator::On(HeartbeatEvent& event) {
-  if (FindWorker(event.session) == nullptr) return;
+  Worker* const worker = FindWorker(event.session);
+  if (worker == nullptr) return;
+  bool any_moves = std::exchange(worker->has_sent, false);
+  std::vector<LeaseId> waiting;
   for (const v1::LeaseProgress& progress : event.leases) {
-    const LeaseId id = progress.id();
-    const auto it = leases_.find(id);
+    const auto it = leases_.find(progress.id());
     if (it == leases_.end() || it->second.session != event.session) continue;
-    expiries_.erase({it->second.expires_ms, id});
-    it->second.expires_ms = now_.monotonic_ms + config_.lease_ttl_ms;
-    expiries_.insert({it->second.expires_ms, id});
+    const bool has_moved = NoteProgress(progress, &it->second);
+    switch (progress.state()) {
+      case v1::LeaseProgress::STATE_WAITING:
+        waiting.push_back(it->first);
+        continue;
+      case v1::LeaseProgress::STATE_RENDERING:
+        if (!has_moved) continue;
+        any_moves = true;
+        if (progress.samples() > 0) worker->stalled = false;
+        break;
+      default:
+        any_moves = true;
+    }
+    Renew(it->first);
   }
+  if (!any_moves) return;
+  for (const LeaseId id : waiting) Renew(id);
 }
 
 void Coordinator::On(DeclineEvent& event) {
@@ -211,16 +254,21 @@ void Coordinator::CountFilm(Job& job) {
 void Coordinator::GrantAll() {
   if (order_.empty()) return;
   GrantSuspects();
-  // One lease each in turn, so that a short queue spreads over all workers.
-  bool granted = true;
-  while (granted) {
-    granted = false;
-    for (auto& [session, worker] : workers_) {
-      if (worker->is_alone || worker->reserved) continue;
-      if (IsSilent(*worker) || worker->leases.size() >= worker->leases_max()) continue;
-      if (GrantOne(*worker)) granted = true;
+  for (const bool stalled : {false, true}) {
+    while (GrantRound(stalled)) {
     }
   }
+}
+
+// One lease for each worker that has room, so that a short queue spreads over all of them.
+bool Coordinator::GrantRound(bool stalled) {
+  bool granted = false;
+  for (auto& [session, worker] : workers_) {
+    if (worker->stalled != stalled || worker->is_alone || worker->reserved) continue;
+    if (IsSilent(*worker) || worker->leases.size() >= worker->leases_max()) continue;
+    if (GrantOne(*worker)) granted = true;
+  }
+  return granted;
 }
 
 bool Coordinator::GrantOne(Worker& worker) {
@@ -247,13 +295,55 @@ bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
   std::ranges::stable_sort(jobs, {}, [](const Job* job) { return job->samples_under_way; });
   for (Job* const job : jobs) {
     std::optional<Unit> unit = AuditFor(*job, worker);
-    if (!unit && job->audits.size() < kAuditsMax) unit = TakeUnit(*job);
+    if (!unit && job->audits.size() < kAuditsMax) unit = TakeUnit(*job, LeaseSize(worker, *job));
     if (unit) {
       Grant(worker, *job, *unit);
       return true;
     }
   }
   return false;
+}
+
+// The samples per pixel that a thread of the worker renders in the time that a lease shall take.
+int64_t Coordinator::LeaseSize(const Worker& worker, const Job& job) const {
+  const v1::JobProgress& progress = job.record.progress();
+  double ns_per_sample = kUnknownNsPerSample;
+  if (const auto own = worker.ns_per_sample.find(job.id); own != worker.ns_per_sample.end()) {
+    ns_per_sample = own->second;
+  } else if (progress.samples() > 0 && progress.render_core_seconds() > 0) {
+    ns_per_sample = worker.slowness * 1e9 * progress.render_core_seconds() /
+                    static_cast<double>(progress.samples());
+  }
+  const double tile_px = std::pow(job.record.settings().tile_size(), 2);
+  const double size =
+      1e6 * static_cast<double>(config_.lease_target_ms) * lease_scale_ / (ns_per_sample * tile_px);
+  return static_cast<int64_t>(
+      std::bit_floor(static_cast<uint64_t>(std::clamp(size, 1.0, double{kSppMax}))));
+}
+
+// What a worker says of its time counts as far as it is possible.
+void Coordinator::NoteSpeed(Worker& worker, const Job& job, const Lease& lease,
+                            const DeltaEvent& event) {
+  const auto& time = event.delta.render_time();
+  const int64_t held_ms = now_.monotonic_ms - lease.issued_ms + 1;
+  const double ns = std::min(1e9 * static_cast<double>(time.seconds()) + time.nanos(),
+                             1e6 * static_cast<double>(held_ms));
+  const auto samples =
+      static_cast<double>(lease.unit.range.size() * job.grid.WindowOf(lease.unit.tile).area());
+  if (!(ns > 0)) return;
+  double& own = worker.ns_per_sample.try_emplace(job.id, ns / samples).first->second;
+  own = 0.5 * (own + ns / samples);
+  const v1::JobProgress& progress = job.record.progress();
+  if (progress.samples() == 0 || !(progress.render_core_seconds() > 0)) return;
+  const double average =
+      1e9 * progress.render_core_seconds() / static_cast<double>(progress.samples());
+  worker.slowness = 0.5 * (worker.slowness + std::clamp(own / average, 0.01, 100.0));
+}
+
+// Larger leases are fewer deltas.
+void Coordinator::NoteIngest(double load) {
+  if (load > kBusyIngest) lease_scale_ = std::min(kLeaseScaleMax, lease_scale_ * 1.25);
+  if (load < kIdleIngest) lease_scale_ = std::max(1.0, lease_scale_ * 0.95);
 }
 
 void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
@@ -351,6 +441,7 @@ void Coordinator::StopWork(Job& job) {
   for (const LeaseId id : leases) DropLease(id, true);
   if (job.IsOpen() || job.record.state() == v1::JOB_STATE_PAUSED) return;
   for (auto& [session, worker] : workers_) {
+    worker->ns_per_sample.erase(job.id);
     if (worker->known_jobs.erase(job.id) == 0) continue;
     v1::CoordinatorMessage message;
     message.mutable_forget()->set_job(job.record.name());
@@ -360,7 +451,10 @@ void Coordinator::StopWork(Job& job) {
 
 void Coordinator::ExpireLeases() {
   while (!expiries_.empty() && expiries_.begin()->first <= now_.monotonic_ms) {
-    DropLease(expiries_.begin()->second, true);
+    const LeaseId id = expiries_.begin()->second;
+    Worker& worker = *workers_.at(leases_.at(id).session);
+    worker.stalled = worker.stalled || !IsSilent(worker);
+    DropLease(id, true);
     ++totals_.leases_expired;
     waiting_changed_ = true;
   }

@@ -33,6 +33,12 @@ bool IsCovered(const Film& film, const Unit& unit) {
   });
 }
 
+bool HoldsPartOf(const Film& film, const Unit& unit) {
+  return std::ranges::any_of(film.Nodes(unit.tile), [&](const TileStatistics& node) {
+    return unit.range.begin <= node.range().begin && node.range().end <= unit.range.end;
+  });
+}
+
 }  // namespace
 
 absl::Status Coordinator::CheckDelta(const Job& job, const DeltaEvent& event) const {
@@ -82,12 +88,17 @@ void Coordinator::On(DeltaEvent& event) {
 
   const auto lease = leases_.find(event.delta.lease_id());
   const bool was_leased = lease != leases_.end() && lease->second.session == event.session;
-  if (was_leased) DropLease(event.delta.lease_id(), false);
+  if (was_leased) {
+    NoteSpeed(*worker, *job, lease->second, event);
+    DropLease(event.delta.lease_id(), false);
+  }
   if (!result_.status.ok()) {
     ++totals_.deltas_refused;
     return;
   }
   const int64_t samples = event.tile.range().size() * event.tile.num_pixels();
+  worker->has_sent = true;
+  worker->stalled = false;
   worker->samples += samples;
   totals_.samples += samples;
   const Unit unit{event.delta.tile_index(), event.tile.range()};
@@ -115,6 +126,7 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
   const int64_t committed_before = job.film->CommittedEnd(unit.tile);
   result_.status = job.film->Accept(unit.tile, std::move(event.tile));
   TESSERA_CHECK(result_.status.ok());
+  job.queue->NoteNoise(unit.tile, event.noise);
   const bool pass_committed = job.queue->Complete(unit);
   job.audits.erase(unit);
   job.audits_waiting.erase(unit);
@@ -151,12 +163,16 @@ void Coordinator::OnPassCommitted(Job& job) {
   if (is_epoch) OpenNextEpoch(job);
 }
 
-// A unit that the film lacks. A restored film may hold nodes that wait for samples before them:
-// those units are complete without a worker.
-std::optional<Unit> Coordinator::TakeUnit(Job& job) {
+// A unit that the film lacks. A restored film may hold nodes that wait for samples before them,
+// of other sizes than the queue's: those units, or parts of them, are complete without a worker.
+std::optional<Unit> Coordinator::TakeUnit(Job& job, int64_t size_max) {
   while (job.queue != nullptr) {
-    const std::optional<Unit> unit = job.queue->Take();
-    if (!unit || !IsCovered(*job.film, *unit)) return unit;
+    std::optional<Unit> unit = job.queue->Take(size_max);
+    if (!unit) return std::nullopt;
+    while (!IsCovered(*job.film, *unit) && HoldsPartOf(*job.film, *unit)) {
+      unit = job.queue->Cut(*unit);
+    }
+    if (!IsCovered(*job.film, *unit)) return unit;
     const bool pass_committed = job.queue->Complete(*unit);
     UpdateProgress(job);
     Touch(job);

@@ -121,11 +121,15 @@ struct Coordinator::Worker {
   bool draining = false;
   bool is_alone = false;  // it renders a suspect, and nothing else
   bool reserved = false;  // it gets nothing until it is idle: a suspect waits for it
+  bool has_sent = false;  // a delta, since its last heartbeat
+  bool stalled = false;   // it lives, but lets leases expire: one at a time until one moves
   std::set<LeaseId> leases;
   std::set<JobId> known_jobs;  // JobSpec sent
   // Jobs whose assets it could not fetch -> not before this monotonic moment.
   std::map<JobId, int64_t> retry_assets_ms;
   int64_t samples = 0;
+  std::map<JobId, double> ns_per_sample;  // of one thread, lately
+  double slowness = 1;  // its time over the average worker's, lately
 
   bool RetriesLater(JobId job, int64_t now_ms) const {
     const auto retry = retry_assets_ms.find(job);
@@ -139,6 +143,7 @@ struct Coordinator::Worker {
     return hello.arithmetic(static_cast<int>(found - classes.begin()));
   }
   size_t leases_max() const {
+    if (stalled) return 1;
     const auto threads = static_cast<size_t>(hello.threads());
     return threads + std::max<size_t>(2, threads / 2);
   }

@@ -42,6 +42,13 @@ struct JobCommandEvent {
   std::string request_id;
 };
 
+// What is rendered first from now on.
+struct LookEvent {
+  JobId job = 0;
+  std::string request_id{};
+  std::optional<v1::Region> region{};  // of the frame; nullopt: nowhere in particular
+};
+
 // Start of the server: a job that the catalogue remembers. film: its checkpoint, null = none.
 struct RestoreJobEvent {
   v1::Job job;
@@ -71,6 +78,7 @@ struct DeltaEvent {
   int64_t wire_bytes = 0;
   TileStatistics tile{};
   std::optional<Sha256Digest> digest{};  // TestimonyOf(tile), if somebody has taken it already
+  double noise = 0;  // NoiseOf(tile); 0 = unknown
 };
 struct HeartbeatEvent {
   SessionId session = 0;
@@ -105,10 +113,12 @@ struct JobFinishedEvent {
   Sha256Digest digest{};
 };
 
-struct TickEvent {};
+struct TickEvent {
+  double ingest_load = 0;  // share of the time since the last one in which deltas were taken in
+};
 
 using Event =
-    std::variant<CreateJobEvent, JobCommandEvent, RestoreJobEvent, FilmStoredEvent,
+    std::variant<CreateJobEvent, JobCommandEvent, LookEvent, RestoreJobEvent, FilmStoredEvent,
                  WorkerConnectedEvent, WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
                  SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent,
                  TickEvent>;

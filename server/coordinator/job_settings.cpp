@@ -38,13 +38,13 @@ absl::Status CheckFrame(const v1::JobSettings& s) {
                    " in all, or render the frame in parts");
   }
   if (s.has_region()) {
-    const v1::Region& r = s.region();
-    if (r.width() < 1 || r.height() < 1 || r.x() < 0 || r.y() < 0 ||
-        r.width() > s.width() - r.x() || r.height() > s.height() - r.y()) {
-      return Invalid("settings.region ", r.x(), ",", r.y(), ",", r.width(), ",", r.height(),
-                     " is not inside the frame of ", s.width(), "x", s.height(),
-                     ": give X,Y,W,H with 0 <= X, 0 <= Y, X+W <= ", s.width(),
-                     ", Y+H <= ", s.height());
+    if (absl::Status status = CheckRegion(s, s.region(), "settings.region"); !status.ok()) {
+      return status;
+    }
+  }
+  if (s.has_look()) {
+    if (absl::Status status = CheckRegion(s, s.look(), "settings.look"); !status.ok()) {
+      return status;
     }
   }
   if (s.tile_size() < 1 || s.tile_size() > kTileSizeMaxPx) {
@@ -186,6 +186,17 @@ absl::Status CheckAssets(const v1::JobSettings& s) {
 }
 
 }  // namespace
+
+absl::Status CheckRegion(const v1::JobSettings& s, const v1::Region& r, const char* field) {
+  if (r.width() < 1 || r.height() < 1 || r.x() < 0 || r.y() < 0 ||
+      r.width() > s.width() - r.x() || r.height() > s.height() - r.y()) {
+    return Invalid(field, " ", r.x(), ",", r.y(), ",", r.width(), ",", r.height(),
+                   " is not inside the frame of ", s.width(), "x", s.height(),
+                   ": give X,Y,W,H with 0 <= X, 0 <= Y, X+W <= ", s.width(),
+                   ", Y+H <= ", s.height());
+  }
+  return absl::OkStatus();
+}
 
 const std::vector<std::string>& IsaClasses() {
   static const auto* const kClasses = new std::vector<std::string>(kIsaClasses.begin(),

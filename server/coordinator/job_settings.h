@@ -26,6 +26,10 @@ const std::vector<std::string>& IsaClasses();
 absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
                                                  const SettingsDefaults& defaults);
 
+// Whether the region lies inside the frame. Errors: INVALID_ARGUMENT naming `field`.
+absl::Status CheckRegion(const v1::JobSettings& settings, const v1::Region& region,
+                         const char* field);
+
 // A film without samples for a job with complete settings.
 Film EmptyFilmOf(const v1::JobSettings& settings);
 

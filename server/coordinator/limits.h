@@ -30,10 +30,13 @@ inline constexpr int kHostBytesMax = 255;  // RFC 1035
 inline constexpr int kWorkerThreadsMax = 1024;
 inline constexpr int64_t kRaysPerSampleMax = 1 << 20;
 
-// One lease: about a second of one thread at half a million samples a second.
-inline constexpr int64_t kLeaseSamplesMax = int64_t{1} << 19;
-// How many ranges of one tile may be under way at once; bounds the film's waiting nodes.
+// One lease: about two seconds of one thread at half a million samples a second. Slower ones get
+// less (CoordinatorConfig::lease_target_ms).
+inline constexpr int64_t kLeaseSamplesMax = int64_t{1} << 20;
+// How many passes over the frame may be under way at once, and units of one tile, about; both bound
+// the film's waiting nodes (kWaitingNodesMax).
 inline constexpr int kOpenStagesMax = 8;
+inline constexpr int64_t kOpenUnitsOfTileMax = 128;
 
 // Of one job, units that wait for a second host's samples; then no others are handed out.
 inline constexpr size_t kAuditsMax = 4096;

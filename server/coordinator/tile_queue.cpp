@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <iterator>
+#include <numeric>
+#include <tuple>
 #include <utility>
 
 #include "core/base/check.h"
@@ -58,8 +60,34 @@ bool TileQueue::OpenStage() {
   if (next_begin_ >= end_ || next_begin_ >= gate_ || stages_.size() >= kOpenStagesMax) return false;
   const SampleRange range = schedule_.NextNode(next_begin_);
   next_begin_ = range.end;
-  stages_.push_back({.range = range, .units_left = UnitsOf(range)});
+  stages_.push_back({.range = range, .order = {}, .units_left = UnitsOf(range)});
+  stages_.back().order.resize(static_cast<size_t>(num_tiles_));
+  std::iota(stages_.back().order.begin(), stages_.back().order.end(), 0);
+  SortTiles(&stages_.back());
   return true;
+}
+
+// The tiles that are still to be handed out.
+void TileQueue::SortTiles(Stage* stage) const {
+  if (looked_.empty() && noise_.empty()) return;
+  const auto key = [&](int32_t tile) {
+    const float noise = noise_.empty() ? 0 : noise_[static_cast<size_t>(tile)];
+    return std::tuple(!IsLooked(tile), -noise, tile);
+  };
+  std::sort(stage->order.begin() + static_cast<std::ptrdiff_t>(stage->next_tile),
+            stage->order.end(), [&](int32_t a, int32_t b) { return key(a) < key(b); });
+}
+
+void TileQueue::Look(std::vector<bool> tiles) {
+  TESSERA_CHECK(tiles.empty() || std::ssize(tiles) == num_tiles_);
+  looked_ = std::move(tiles);
+  for (Stage& stage : stages_) SortTiles(&stage);
+}
+
+void TileQueue::NoteNoise(int64_t tile, double noise) {
+  if (!(noise > 0)) return;
+  if (noise_.empty()) noise_.resize(static_cast<size_t>(num_tiles_));
+  noise_[static_cast<size_t>(tile)] = static_cast<float>(noise);
 }
 
 // With nothing under way, passes over stages in which no tile wants a sample: no delta of theirs
@@ -72,27 +100,57 @@ void TileQueue::SkipIdleStages() {
   }
 }
 
-std::optional<Unit> TileQueue::Take() {
-  while (true) {
-    if (!ready_.empty()) {
-      const Unit unit = ready_.front();
-      ready_.pop_front();
-      open_[unit] = true;
-      return unit;
-    }
-    // Cut the next tile of the oldest stage that has one.
-    const auto has_tiles = [&](const Stage& s) { return s.next_tile < num_tiles_; };
+// The stage whose next tile is to be handed out; null if there is none.
+TileQueue::Stage* TileQueue::NextStage() {
+  const auto has_tiles = [](const Stage& stage) { return stage.next_tile < stage.order.size(); };
+  const auto has_looked = [&](const Stage& stage) {
+    return has_tiles(stage) && IsLooked(stage.order[stage.next_tile]);
+  };
+  if (!looked_.empty()) {
+    do {
+      const auto stage = std::ranges::find_if(stages_, has_looked);
+      if (stage != stages_.end()) return &*stage;
+    } while (OpenStage());
+  }
+  do {
     const auto stage = std::ranges::find_if(stages_, has_tiles);
-    if (stage == stages_.end()) {
-      if (!OpenStage()) return std::nullopt;
-      continue;
-    }
-    const int64_t tile = stage->next_tile++;
+    if (stage != stages_.end()) return &*stage;
+  } while (OpenStage());
+  return nullptr;
+}
+
+std::optional<Unit> TileQueue::Take(int64_t size_max) {
+  while (ready_.empty()) {
+    Stage* const stage = NextStage();
+    if (stage == nullptr) return std::nullopt;
+    const int64_t tile = stage->order[stage->next_tile++];
     for (const SampleRange& range : RangesOf(stage->range, tile)) {
       ready_.push_back({tile, range});
       open_[ready_.back()] = false;
     }
   }
+  const Unit unit = ready_.front();
+  ready_.pop_front();
+  open_[unit] = true;
+  return CutToSize(unit, size_max);
+}
+
+// The first part of the unit; what follows it is the next to be handed out.
+Unit TileQueue::CutToSize(Unit unit, int64_t size_max) {
+  const auto of_tile = [&](int64_t tile) { return open_.lower_bound({tile, {0, 0}}); };
+  int64_t units = std::distance(of_tile(unit.tile), of_tile(unit.tile + 1));
+  for (; unit.range.size() > std::max<int64_t>(1, size_max) && units < kOpenUnitsOfTileMax;
+       ++units) {
+    unit = Cut(unit);
+  }
+  return unit;
+}
+
+Unit TileQueue::Cut(const Unit& unit) {
+  const std::vector<Unit> halves = Halve(unit, false);
+  ready_.push_front(halves[1]);
+  open_[halves[0]] = true;
+  return halves[0];
 }
 
 void TileQueue::Return(const Unit& unit) {
@@ -110,13 +168,15 @@ bool TileQueue::Claim(const Unit& unit) {
   return true;
 }
 
-std::vector<Unit> TileQueue::Split(const Unit& unit) {
+std::vector<Unit> TileQueue::Split(const Unit& unit) { return Halve(unit, true); }
+
+std::vector<Unit> TileQueue::Halve(const Unit& unit, bool under_way) {
   TESSERA_CHECK(open_.contains(unit) && unit.range.size() > 1);
   const int64_t middle = unit.range.begin + unit.range.size() / 2;
   const std::vector<Unit> halves = {{unit.tile, {unit.range.begin, middle}},
                                     {unit.tile, {middle, unit.range.end}}};
   open_.erase(unit);
-  for (const Unit& half : halves) open_[half] = true;
+  for (const Unit& half : halves) open_[half] = under_way;
   for (Stage& stage : stages_) {
     if (unit.range.begin >= stage.range.begin && unit.range.end <= stage.range.end) {
       ++stage.units_left;

@@ -29,12 +29,21 @@ class TileQueue {
             std::vector<int64_t> ends = {});
 
   // The next unit to hand out, which is then under way; none when all is under way or the gate is
-  // shut.
-  std::optional<Unit> Take();
+  // shut. size_max: of its range, as far as the tile's open units stay within kOpenUnitsOfTileMax.
+  // Passes go over the whole frame one after the other; within a pass the tiles that are looked at
+  // come first, then the noisier ones. Where one looks, passes ahead are begun as far as the gate
+  // allows, before the rest of the frame.
+  std::optional<Unit> Take(int64_t size_max = INT64_MAX);
+  // Which tiles are looked at from now on; empty = none.
+  void Look(std::vector<bool> tiles);
+  // What is known of a tile's noise; any measure that grows with it.
+  void NoteNoise(int64_t tile, double noise);
   // Gives back a unit that nobody renders any more. Ignores one that is not under way.
   void Return(const Unit& unit);
   // Takes this unit in particular, wherever it waits. Returns whether it is still wanted.
   bool Claim(const Unit& unit);
+  // Leaves the second half of a unit that is under way for later; returns the first one.
+  Unit Cut(const Unit& unit);
   // Puts two halves in the place of a unit that is under way; both are under way then.
   std::vector<Unit> Split(const Unit& unit);
   // The unit's samples are in the film. Returns whether the frame's committed_spp has grown.
@@ -60,13 +69,21 @@ class TileQueue {
   // One node over all tiles.
   struct Stage {
     SampleRange range;
-    int64_t next_tile = 0;
-    int64_t units_left = 0;  // not complete yet
+    std::vector<int32_t> order;  // of the tiles
+    size_t next_tile = 0;        // in `order`
+    int64_t units_left = 0;      // not complete yet
   };
 
   int64_t StartOf(int64_t tile) const;
   int64_t EndOf(int64_t tile) const;
   bool OpenStage();
+  bool IsLooked(int64_t tile) const {
+    return !looked_.empty() && looked_[static_cast<size_t>(tile)];
+  }
+  void SortTiles(Stage* stage) const;
+  Stage* NextStage();
+  Unit CutToSize(Unit unit, int64_t size_max);
+  std::vector<Unit> Halve(const Unit& unit, bool under_way);
   void SkipIdleStages();
   int64_t UnitsOf(SampleRange stage) const;
   std::vector<SampleRange> RangesOf(SampleRange stage, int64_t tile) const;
@@ -80,6 +97,8 @@ class TileQueue {
   int64_t next_begin_ = 0;  // of the next stage
   int64_t end_ = 0;
   int64_t gate_ = 0;
+  std::vector<bool> looked_;         // by tile, empty = none
+  std::vector<float> noise_;         // by tile, empty = all unknown; 0 = unknown
   std::deque<Stage> stages_;         // open, ascending
   std::deque<Unit> ready_;           // handed back, or cut from a started tile
   std::map<Unit, bool> open_;        // handed out or ready; true while somebody renders it

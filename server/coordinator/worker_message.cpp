@@ -5,6 +5,7 @@
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
+#include "server/coordinator/tile_noise.h"
 
 namespace tessera {
 namespace {
@@ -39,6 +40,7 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool 
       DecodeDelta(RectOf(window), range, delta.feature_end(), delta.encoding(), delta.payload());
   if (!tile.ok()) return tile.status();
   event.tile = *std::move(tile);
+  event.noise = NoiseOf(event.tile);
   if (with_digest) event.digest = TestimonyOf(event.tile);
   delta.clear_payload();
   event.delta = std::move(delta);

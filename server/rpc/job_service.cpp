@@ -27,9 +27,8 @@ JobService::JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watc
       requests_(host, assets, std::move(defaults), std::move(keeper)),
       access_(access) {}
 
-absl::Status JobService::Command(const grpc::CallbackServerContext& context, JobCommand command,
-                                 const std::string& name, const std::string& request_id,
-                                 v1::Job* response) {
+absl::Status JobService::CheckSteering(const grpc::CallbackServerContext& context,
+                                       const std::string& name) const {
   const absl::StatusOr<Caller> caller = access_.Check(context, Role::kSubmit);
   if (!caller.ok()) return caller.status();
   v1::Job job;
@@ -38,7 +37,14 @@ absl::Status JobService::Command(const grpc::CallbackServerContext& context, Job
     return absl::PermissionDeniedError(
         absl::StrCat(name, " belongs to '", job.owner(), "': its owner or an admin may steer it"));
   }
-  return requests_.Command(command, name, request_id, response);
+  return absl::OkStatus();
+}
+
+absl::Status JobService::Command(const grpc::CallbackServerContext& context, JobCommand command,
+                                 const std::string& name, const std::string& request_id,
+                                 v1::Job* response) {
+  const absl::Status status = CheckSteering(context, name);
+  return status.ok() ? requests_.Command(command, name, request_id, response) : status;
 }
 
 grpc::ServerUnaryReactor* JobService::CreateJob(grpc::CallbackServerContext* context,
@@ -116,6 +122,13 @@ grpc::ServerUnaryReactor* JobService::CancelJob(grpc::CallbackServerContext* con
                                                 v1::Job* response) {
   return Reply(context, Command(*context, JobCommand::kCancel, request->name(),
                                 request->request_id(), response));
+}
+
+grpc::ServerUnaryReactor* JobService::LookJob(grpc::CallbackServerContext* context,
+                                              const v1::LookJobRequest* request,
+                                              v1::Job* response) {
+  const absl::Status status = CheckSteering(*context, request->name());
+  return Reply(context, status.ok() ? requests_.Look(*request, response) : status);
 }
 
 grpc::ServerUnaryReactor* JobService::DeleteJob(grpc::CallbackServerContext* context,

@@ -34,11 +34,17 @@ class JobService final : public v1::JobService::CallbackService {
   grpc::ServerUnaryReactor* CancelJob(grpc::CallbackServerContext* context,
                                       const v1::CancelJobRequest* request,
                                       v1::Job* response) override;
+  grpc::ServerUnaryReactor* LookJob(grpc::CallbackServerContext* context,
+                                    const v1::LookJobRequest* request,
+                                    v1::Job* response) override;
   grpc::ServerUnaryReactor* DeleteJob(grpc::CallbackServerContext* context,
                                       const v1::DeleteJobRequest* request,
                                       v1::DeleteJobResponse* response) override;
 
  private:
+  // OK, or why whoever calls may not change the job.
+  absl::Status CheckSteering(const grpc::CallbackServerContext& context,
+                             const std::string& name) const;
   // Pause, resume, cancel or delete, by whoever calls.
   absl::Status Command(const grpc::CallbackServerContext& context, JobCommand command,
                        const std::string& name, const std::string& request_id, v1::Job* response);

@@ -1,5 +1,7 @@
 #include "server/rpc/worker_sessions.h"
 
+#include <time.h>
+
 #include <deque>
 #include <string>
 
@@ -13,6 +15,12 @@
 
 namespace tessera {
 namespace {
+
+int64_t ThreadNanoseconds() {
+  timespec now = {};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return int64_t{now.tv_sec} * 1000000000 + now.tv_nsec;
+}
 
 constexpr size_t kQueuedMessagesMax = 16384;  // towards one worker that does not read
 constexpr int64_t kEndGraceMs = 2000;  // in which an ending stream's last message may go out
@@ -95,7 +103,9 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
       ServerLog().info("session={} worker connected host={} process={} threads={}", session_,
                        hello.host().substr(0, 256), hello.process_id(), hello.threads());
     }
+    const int64_t begin_ns = ThreadNanoseconds();
     absl::StatusOr<Event> event = EventOf(session_, message, sessions_->with_digests_);
+    sessions_->decode_ns_ += ThreadNanoseconds() - begin_ns;
     if (!event.ok()) return event.status();
     sessions_->post_(*std::move(event));
     return absl::OkStatus();

@@ -2,6 +2,7 @@
 // decoded here, on the stream's own thread, outside the coordinator's lock.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -34,6 +35,8 @@ class WorkerSessions {
   void End(SessionId session, const absl::Status& status);
   // Cancels ended streams whose worker does not read its last message. Call it now and then.
   void Pump(int64_t now_ms);
+  // The processor time that decoding has taken since the last call of this.
+  int64_t TakeDecodeNs() { return decode_ns_.exchange(0); }
   // Ends all streams with UNAVAILABLE; later ones end at once.
   void Close();
 
@@ -43,6 +46,7 @@ class WorkerSessions {
 
   const Post post_;
   const bool with_digests_;
+  std::atomic<int64_t> decode_ns_ = 0;
   std::mutex mu_;  // guards all below
   std::map<SessionId, WorkReactor*> reactors_;
   SessionId next_session_ = 1;

@@ -140,19 +140,6 @@ TEST(Coordinator, AnExpiredLeaseIsRenderedByAnotherAndTheLateDeltaIsDropped) {
   EXPECT_EQ(farm.Job(job).progress().samples(), 2 * 190);
 }
 
-TEST(Coordinator, HeartbeatsKeepLeases) {
-  SimulatedFarm farm;
-  farm.Create(SmallSettings(2));
-  const SessionId worker = farm.Connect(8);
-  const std::deque<v1::Lease> leases = farm.workers[worker].leases;
-  for (int i = 0; i < 10; ++i) {
-    farm.now_ms += 900;
-    farm.Heartbeat(worker, 100 * (i + 1));
-  }
-  EXPECT_EQ(farm.workers[worker].leases.size(), leases.size());
-  EXPECT_EQ(farm.workers[worker].leases.front().id(), leases.front().id());
-}
-
 TEST(Coordinator, WhatASilentWorkerLetExpireGoesToAnother) {
   SimulatedFarm farm;
   const JobId job = farm.Create(SmallSettings(64));

@@ -63,6 +63,72 @@ TEST(TileQueue, EachTileToItsOwnEndFromItsOwnStart) {
   }
 }
 
+TEST(TileQueue, RangesAreCutToTheSizeThatIsAskedFor) {
+  for (uint64_t seed = 0; seed < 20; ++seed) {
+    constexpr int64_t kTiles = 3;
+    TileQueue queue(SampleSchedule(1000, 64, false), kTiles);
+    std::vector<int64_t> samples(kTiles);
+    std::vector<Unit> open;
+    uint64_t bits = seed;
+    while (!queue.Done()) {
+      for (bits = MixBits(bits); open.size() < 40;) {
+        bits = MixBits(bits);
+        const int64_t size_max = int64_t{1} << (bits % 10);
+        const std::optional<Unit> unit = queue.Take(size_max);
+        if (!unit) break;
+        EXPECT_TRUE(unit->range.IsNode());
+        EXPECT_LE(unit->range.size(), size_max);
+        open.push_back(*unit);
+      }
+      ASSERT_FALSE(open.empty());
+      const auto i = static_cast<std::ptrdiff_t>((bits >> 32) % open.size());
+      samples[static_cast<size_t>(open[static_cast<size_t>(i)].tile)] +=
+          open[static_cast<size_t>(i)].range.size();
+      queue.Complete(open[static_cast<size_t>(i)]);
+      open.erase(open.begin() + i);
+    }
+    EXPECT_EQ(samples, std::vector<int64_t>(kTiles, 1000)) << seed;
+  }
+}
+
+TEST(TileQueue, ATileIsCutIntoABoundedNumberOfUnits) {
+  TileQueue queue(SampleSchedule(4096, 1, false), 1);
+  std::vector<Unit> open;
+  while (const std::optional<Unit> unit = queue.Take(1)) open.push_back(*unit);
+  EXPECT_GE(std::ssize(open), kOpenUnitsOfTileMax);
+  EXPECT_LE(std::ssize(open), kOpenUnitsOfTileMax + kOpenStagesMax);
+}
+
+std::vector<int64_t> TilesOf(TileQueue& queue, int count) {
+  std::vector<int64_t> tiles;
+  for (int i = 0; i < count; ++i) {
+    if (const std::optional<Unit> unit = queue.Take()) tiles.push_back(unit->tile);
+  }
+  return tiles;
+}
+
+TEST(TileQueue, WithinAPassNoisyTilesComeFirst) {
+  TileQueue queue(SampleSchedule(64, 64, false), 4);
+  EXPECT_EQ(TilesOf(queue, 4), (std::vector<int64_t>{0, 1, 2, 3})) << "nothing is known yet";
+  queue.NoteNoise(1, 0.5);
+  queue.NoteNoise(3, 2);
+  queue.NoteNoise(0, 0.1);
+  EXPECT_EQ(TilesOf(queue, 4), (std::vector<int64_t>{3, 1, 0, 2}));
+}
+
+TEST(TileQueue, WhereOneLooksComesFirstAndPassesAhead) {
+  TileQueue queue(SampleSchedule(64, 64, false), 4);
+  queue.SetGate(8);
+  EXPECT_EQ(TilesOf(queue, 1), (std::vector<int64_t>{0}));
+  queue.NoteNoise(3, 5);
+  queue.Look({false, false, true, false});
+  // [0, 2), [2, 4) and [4, 8) of tile 2, as far as the gate; then the frame, pass by pass.
+  EXPECT_EQ(TilesOf(queue, 6), (std::vector<int64_t>{2, 2, 2, 3, 1, 3}));
+  queue.Look({});
+  EXPECT_EQ(TilesOf(queue, 5), (std::vector<int64_t>{0, 1, 3, 0, 1}));
+  EXPECT_FALSE(queue.Take().has_value());
+}
+
 TEST(TileQueue, StagesThatNoTileWantsArePassedOver) {
   // Tile 0 ends before tile 1 goes on: nobody wants [4, 32).
   TileQueue queue(SampleSchedule(64, 64, false), 2, {0, 32}, {4, 64});

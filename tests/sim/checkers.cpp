@@ -34,6 +34,7 @@ int64_t TargetSpp(const v1::JobSettings& s) {
 void Checkers::OnRestored(const Coordinator& coordinator) {
   OnReset(coordinator);
   revisions_.clear();
+  seen_.clear();
   for (const v1::Job& record : coordinator.ListJobs(0, SIZE_MAX)) {
     if (record.revision().incarnation() <= incarnation_) {
       Fail(absl::StrCat(record.name(), " came back with an old incarnation"));
@@ -94,6 +95,23 @@ void Checkers::CheckLeases(const Coordinator& coordinator, Instant now) {
                         now.monotonic_ms));
     }
   }
+  std::map<LeaseId, LeaseSeen> seen;
+  for (const Coordinator::LeaseView& lease : leases) {
+    const auto before = seen_.find(lease.id);
+    LeaseSeen& now_seen = seen[lease.id] = {lease.state, lease.samples, now.monotonic_ms};
+    if (before == seen_.end() || before->second.state != lease.state ||
+        before->second.samples != lease.samples) {
+      continue;
+    }
+    now_seen.since_ms = before->second.since_ms;
+    // From the step that saw it move: steps in which nothing is looked at come in between.
+    if (lease.state == v1::LeaseProgress::STATE_RENDERING &&
+        now.monotonic_ms - now_seen.since_ms > plan_.lease_ttl_ms) {
+      Fail(absl::StrCat("lease ", lease.id, " is kept without progress since ",
+                        now_seen.since_ms));
+    }
+  }
+  seen_ = std::move(seen);
   for (const auto& [session, count] : of_session) {
     // The most that a worker of four threads may hold, with the room to race one unit.
     if (count > 7) Fail(absl::StrCat("session ", session, " holds ", count, " leases"));

@@ -41,12 +41,20 @@ class Checkers {
   void CheckLeases(const Coordinator& coordinator, Instant now);
   void CheckFilm(const Coordinator& coordinator, JobId job);
 
+  // A lease as it was when it last moved.
+  struct LeaseSeen {
+    v1::LeaseProgress::State state = v1::LeaseProgress::STATE_UNSPECIFIED;
+    int64_t samples = 0;
+    int64_t since_ms = 0;
+  };
+
   const FaultPlan& plan_;
   std::string violation_;
   int64_t steps_ = 0;
   int64_t counted_ = 0;
   uint64_t incarnation_ = 0;
   std::map<JobId, uint64_t> revisions_;  // of this incarnation
+  std::map<LeaseId, LeaseSeen> seen_;
   // Of this incarnation: what has been counted, or was in the film that it began with.
   std::map<JobId, std::map<int64_t, std::map<int64_t, int64_t>>> ranges_;  // tile -> begin -> end
 };

@@ -108,6 +108,8 @@ class Farm {
         return Worker(fault.target).Stall(for_us);
       case FaultKind::kRenderHangs:
         return Worker(fault.target).HangNextRender(for_us);
+      case FaultKind::kWorkerCrashes:
+        return Worker(fault.target).CrashBySignal();
       case FaultKind::kWorkerDrains:
         return Worker(fault.target).Drain(for_us);
       case FaultKind::kPartition:

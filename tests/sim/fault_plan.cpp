@@ -58,6 +58,7 @@ Fault MakeFault(SimRandom& random, const FaultPlan& plan) {
   static constexpr FaultKind kKinds[] = {
       FaultKind::kWorkerKilled, FaultKind::kWorkerVanishes, FaultKind::kWorkerStalls,
       FaultKind::kRenderHangs,  FaultKind::kWorkerDrains,   FaultKind::kPartition,
+      FaultKind::kWorkerCrashes,
       FaultKind::kServerCrash,  FaultKind::kServerCrash,    FaultKind::kDiskFull,
       FaultKind::kFilmDamaged};
   Fault fault{.kind = kKinds[random.Between(0, std::ssize(kKinds) - 1)]};
@@ -99,6 +100,19 @@ double MixArithmetic(FaultPlan* plan) {
   return slowest;
 }
 
+// Clients that look at some part of the frame, and then perhaps elsewhere.
+void AddLooks(SimRandom& random, FaultPlan* plan) {
+  for (JobPlan& job : plan->jobs) {
+    if (!random.Chance(0.3)) continue;
+    const v1::JobSettings& s = job.settings;
+    job.look.set_x(static_cast<int>(random.Between(0, s.width() - 1)));
+    job.look.set_y(static_cast<int>(random.Between(0, s.height() - 1)));
+    job.look.set_width(static_cast<int>(random.Between(1, s.width() - job.look.x())));
+    job.look.set_height(static_cast<int>(random.Between(1, s.height() - job.look.y())));
+    if (random.Chance(0.5)) *job.settings.mutable_look() = job.look;
+  }
+}
+
 }  // namespace
 
 FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
@@ -118,7 +132,7 @@ FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
   for (int64_t i = 0; i < num_workers; ++i) {
     WorkerPlan worker;
     worker.threads = static_cast<int>(random.Between(1, 4));
-    worker.samples_per_ms = speed * (random.Chance(0.2) ? 0.1 : 0.5 + random.Uniform());
+    worker.samples_per_ms = speed * (random.Chance(0.2) ? 0.02 : 0.5 + random.Uniform());
     // The first one can do everything, so that every job can end.
     const bool is_small = i > 0 && random.Chance(0.15);
     worker.memory_bytes = is_small ? kSimSceneBytes / 2 : kSimSceneBytes * random.Between(1, 4);
@@ -132,6 +146,9 @@ FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
   const int64_t num_faults = random.Chance(0.05) ? 0 : random.Between(1, is_large ? 60 : 12);
   for (int64_t i = 0; i < num_faults; ++i) plan.faults.push_back(MakeFault(random, plan));
   AddBadCitizens(random, &plan);
+  plan.lease_target_ms = random.Between(100, 4000);
+  plan.ingest_load = random.Uniform();
+  AddLooks(random, &plan);
   // The first worker alone could do it all, even twice; where arithmetic differs, the slowest one.
   int64_t samples = 0;
   for (const JobPlan& job : plan.jobs) {

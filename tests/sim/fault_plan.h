@@ -38,7 +38,8 @@ enum class FaultKind {
   kWorkerKilled,    // the kernel closes its connections
   kWorkerVanishes,  // its machine is gone, nobody is told
   kWorkerStalls,    // the whole process stands still, then goes on
-  kRenderHangs,     // the next render takes so much longer
+  kRenderHangs,     // the next render stands still for so long, while its session lives
+  kWorkerCrashes,   // by a signal, for reasons of its own: what it had in hand is innocent
   kWorkerDrains,
   kPartition,    // of one worker
   kServerCrash,  // for_us: until it is started again
@@ -60,6 +61,7 @@ struct JobPlan {
   Fate fate = Fate::kRuns;
   int64_t fate_us = 0;   // after it was created
   int64_t pause_us = 0;  // kPausedForAWhile
+  v1::Region look{};     // where its client looks once it is there; empty = it does not
 };
 
 struct FaultPlan {
@@ -70,6 +72,8 @@ struct FaultPlan {
   std::vector<Fault> faults;
   int64_t lease_ttl_ms = 0;
   int64_t checkpoint_ms = 0;
+  int64_t lease_target_ms = 0;
+  double ingest_load = 0;
   double audit_rate = 0;
   int64_t faults_end_us = 0;  // after that nothing breaks any more
   int64_t end_us = 0;         // by then every job has ended

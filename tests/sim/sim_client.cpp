@@ -46,9 +46,28 @@ void SimClient::Start() {
             return checkers_.Fail(absl::StrCat("job ", index_, " is refused: ", status.ToString()));
           }
           name_ = job->name();
+          if (plan_.look.width() > 0) Look();
           time_.After(plan_.fate_us, [this] { FollowFate(); });
         });
   });
+}
+
+void SimClient::Look() {
+  Call(
+      [this](const std::string& request_id) {
+        v1::LookJobRequest request;
+        request.set_name(name_);
+        request.set_request_id(request_id);
+        *request.mutable_region() = plan_.look;
+        v1::Job job;
+        return server_.requests().Look(request, &job);
+      },
+      "look",
+      [this](const absl::Status& status) {
+        if (!status.ok() && !(absl::IsNotFound(status) && plan_.fate == JobPlan::Fate::kDeleted)) {
+          checkers_.Fail(absl::StrCat("looking at ", name_, ": ", status.ToString()));
+        }
+      });
 }
 
 void SimClient::Steer(JobCommand command, std::function<void()> then) {

@@ -36,6 +36,7 @@ class SimClient {
   // Calls until an answer comes that is not UNAVAILABLE, with the same request_id.
   void Call(std::function<absl::Status(const std::string& request_id)> call, const char* what,
             std::function<void(const absl::Status&)> then);
+  void Look();
   void Steer(JobCommand command, std::function<void()> then);
   void FollowFate();
 

@@ -72,6 +72,7 @@ class SimServer::Run : public EffectSink {
     config.version = "sim";
     config.defaults = {.tile_size = 8, .denoisers = {"none"}};
     config.lease_ttl_ms = server_.plan_.lease_ttl_ms;
+    config.lease_target_ms = server_.plan_.lease_target_ms;
     config.checkpoint_interval_ms = server_.plan_.checkpoint_ms;
     config.audit_rate = server_.plan_.audit_rate;
     config.audit_seed = server_.plan_.seed;
@@ -176,7 +177,7 @@ void SimServer::Crash(int64_t for_us) {
 
 void SimServer::Tick(uint64_t run) {
   if (run_ == nullptr || run_->id() != run) return;
-  (void)run_->Post(TickEvent{});
+  (void)run_->Post(TickEvent{plan_.ingest_load});
   Settle();
   time_.After(100 * kMs, [this, run] { Tick(run); });
 }

@@ -1,5 +1,6 @@
 #include "tests/sim/sim_worker.h"
 
+#include <algorithm>
 #include <chrono>
 #include <optional>
 #include <utility>
@@ -35,6 +36,7 @@ void SimWorker::Start() {
   options.threads = me_.threads;
   options.memory_bytes = me_.memory_bytes;
   options.jitter_seed = random_.Bits();
+  options.samples_of = [this](uint64_t task) { return SamplesOf(task); };
   options.hello.set_host(absl::StrCat("host", index_));
   options.hello.set_process_id(static_cast<int>(process_));
   options.hello.set_threads(me_.threads);
@@ -128,6 +130,12 @@ void SimWorker::Stall(int64_t for_us) {
   After(for_us, [this] { Post(session_event::Timer{}); });
 }
 
+void SimWorker::CrashBySignal() {
+  if (machine_ == nullptr) return;
+  trace_("crashes by chance");
+  Crash(11);
+}
+
 void SimWorker::Drain(int64_t for_us) {
   restart_us_ = for_us;
   if (machine_ != nullptr) Post(session_event::DrainRequested{});
@@ -175,21 +183,35 @@ void SimWorker::StartThreads() {
                                              lease.window().width() * lease.window().height());
     int64_t took_us = static_cast<int64_t>(samples / me_.samples_per_ms * 1000 *
                                            (0.9 + 0.2 * random_.Uniform()));
-    if (tasks_.at(id).cancelled) took_us = 0;
-    took_us += std::exchange(hang_us_, 0);
-    tasks_.at(id).running = true;
+    Task& task = tasks_.at(id);
+    if (task.cancelled) took_us = 0;
+    const int64_t hang_us = std::exchange(hang_us_, 0);
+    task.running = true;
+    task.works_from_us = time_.now_us() + hang_us;
+    task.works_for_us = took_us;
+    took_us += hang_us;
     ++busy_;
     After(took_us, [this, id] { EndRender(id); });
   }
 }
 
-void SimWorker::Crash() {
+int64_t SimWorker::SamplesOf(uint64_t id) const {
+  const auto found = tasks_.find(id);
+  if (found == tasks_.end() || !found->second.running) return 0;
+  const Task& task = found->second;
+  const int64_t samples = (task.lease.sample_end() - task.lease.sample_begin()) *
+                          task.lease.window().width() * task.lease.window().height();
+  const int64_t worked_us = std::max<int64_t>(0, time_.now_us() - task.works_from_us);
+  return samples * std::min(worked_us, task.works_for_us) / std::max<int64_t>(1, task.works_for_us);
+}
+
+void SimWorker::Crash(int signal) {
   v1::CrashReport report;
   report.set_cause(v1::CrashReport::CAUSE_SIGNAL);
-  report.set_signal(11);
+  report.set_signal(signal);
   report.set_process_id(static_cast<int>(process_));
   for (const auto& [id, task] : tasks_) {
-    if (!task.running || task.cancelled) continue;
+    if (!task.running) continue;
     v1::CrashReport::Unit& unit = *report.add_units();
     unit.set_job(task.lease.job());
     unit.set_tile_index(task.lease.tile_index());
@@ -206,7 +228,7 @@ void SimWorker::EndRender(uint64_t id) {
                            ended.lease.tile_index() == 1 && ended.lease.sample_begin() == 0;
   if (is_poisoned && !ended.cancelled) {
     trace_("crashes");
-    return Crash();
+    return Crash(11);
   }
   const Task task = std::move(tasks_.at(id));
   tasks_.erase(id);
@@ -216,6 +238,9 @@ void SimWorker::EndRender(uint64_t id) {
     rendered.delta = absl::CancelledError("cancelled");
   } else {
     rendered.delta = SimRender(task.settings, task.lease, me_.arithmetic, random_.Chance(me_.lies));
+    google::protobuf::Duration& time = *rendered.delta->mutable_render_time();
+    time.set_seconds(task.works_for_us / kSecond);
+    time.set_nanos(static_cast<int>(task.works_for_us % kSecond) * 1000);
   }
   Post(std::move(rendered));
   if (machine_ != nullptr) StartThreads();
@@ -224,6 +249,11 @@ void SimWorker::EndRender(uint64_t id) {
 void SimWorker::Apply(session_effect::CancelRender& effect) {
   const auto task = tasks_.find(effect.task);
   if (task != tasks_.end()) task->second.cancelled = true;
+}
+
+void SimWorker::Apply(session_effect::GiveUp& effect) {
+  trace_(effect.why);
+  Crash(6);
 }
 
 void SimWorker::Apply(session_effect::Log& effect) {

@@ -33,6 +33,7 @@ class SimWorker {
   void Die(int64_t for_us, bool vanishes);
   void Stall(int64_t for_us);
   void HangNextRender(int64_t for_us) { hang_us_ = for_us; }
+  void CrashBySignal();
   void Drain(int64_t for_us);
 
   bool is_alive() const { return machine_ != nullptr; }
@@ -46,8 +47,9 @@ class SimWorker {
     v1::Lease lease;
     bool cancelled = false;
     bool running = false;
+    int64_t works_from_us = 0;  // after whatever holds it up
+    int64_t works_for_us = 0;
   };
-
 
   void Post(SessionEvent event);
   void Step(SessionEvent event);
@@ -55,7 +57,7 @@ class SimWorker {
   void After(int64_t delay_us, std::function<void()> run);  // unless this process has died by then
   void StartThreads();
   void EndRender(uint64_t id);
-  void Crash();  // by a signal; what supervises it tells the server
+  void Crash(int signal);  // what supervises it tells the server
 
   void Apply(session_effect::OpenStream&);
   void Apply(session_effect::Write& effect);
@@ -66,6 +68,8 @@ class SimWorker {
   void Apply(session_effect::DropScene& effect) { scenes_.erase(effect.scene); }
   void Apply(session_effect::StartRender& effect);
   void Apply(session_effect::CancelRender& effect);
+  int64_t SamplesOf(uint64_t task) const;
+  void Apply(session_effect::GiveUp& effect);
   void Apply(session_effect::Log& effect);
   void Apply(session_effect::Finish& effect);
 

@@ -1,7 +1,10 @@
 // The farm under faults: docs/farm.md.
 #include <gtest/gtest.h>
 
+#include "server/coordinator/coordinator.h"
 #include "tests/sim/farm_simulation.h"
+#include "tests/sim/sim_scene.h"
+#include "tests/sim/virtual_time.h"
 
 namespace tessera {
 namespace {
@@ -45,6 +48,41 @@ TEST(Plans, BreakWhatTheySay) {
   }
   EXPECT_GT(counted, 5000);
   EXPECT_GT(corrupted, 5);
+}
+
+// A calm farm of two workers and one job; only the first worker's third render hangs, for ever.
+TEST(HungRender, IsLeasedAgainWithinThreeSeconds) {
+  FaultPlan plan = MakeFaultPlan(0);
+  plan.network = {};
+  plan.network.delay_us_max = kMs;
+  plan.faults.clear();
+  plan.lease_ttl_ms = CoordinatorConfig().lease_ttl_ms;
+  plan.audit_rate = 0;
+  WorkerPlan worker;
+  worker.samples_per_ms = 1000;
+  worker.memory_bytes = kSimSceneBytes;
+  plan.workers = {worker, worker};
+  plan.jobs.resize(1);
+  plan.jobs[0] = JobPlan();
+  v1::JobSettings& settings = plan.jobs[0].settings;
+  settings = MakeFaultPlan(0).jobs[0].settings;
+  settings.set_seed(1);
+  settings.set_spp(64);
+  settings.clear_target_error();
+  settings.clear_max_time();
+  plan.faults_end_us = 10 * kSecond;
+  plan.faults.push_back({FaultKind::kRenderHangs, 0, 3600 * kSecond, 0});
+  const SimulationResult calm = [&] {
+    FaultPlan none = plan;
+    none.faults.clear();
+    none.faults_end_us = 0;
+    return Simulate(none);
+  }();
+  plan.faults_end_us = 1;
+  const SimulationResult hung = Simulate(plan);
+  EXPECT_EQ(calm.violation, "");
+  EXPECT_EQ(hung.violation, "");
+  EXPECT_LE(hung.jobs_ended_ms, calm.jobs_ended_ms + 3000);
 }
 
 // Seeds that found something, each with what it found. Targeted tests go with them.

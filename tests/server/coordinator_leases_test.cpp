@@ -1,0 +1,197 @@
+// How long leases last, how large they are, and in which order tiles are leased.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <deque>
+#include <vector>
+
+#include "tests/server/simulated_farm.h"
+
+namespace tessera {
+namespace {
+
+TEST(CoordinatorLeases, HeartbeatsKeepLeases) {
+  SimulatedFarm farm;
+  farm.Create(SmallSettings(2));
+  const SessionId worker = farm.Connect(8);
+  const std::deque<v1::Lease> leases = farm.workers[worker].leases;
+  for (int i = 0; i < 10; ++i) {
+    farm.now_ms += 900;
+    farm.Heartbeat(worker, 100 * (i + 1));
+  }
+  EXPECT_EQ(farm.workers[worker].leases.size(), leases.size());
+  EXPECT_EQ(farm.workers[worker].leases.front().id(), leases.front().id());
+}
+
+TEST(CoordinatorLeases, ARenderThatDoesNoSamplesLosesItsLeaseWhileItsSessionLives) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(2));
+  const SessionId stuck = farm.Connect(2);
+  const size_t held = farm.workers[stuck].leases.size();
+  ASSERT_GT(held, 1u);
+  int64_t waited_ms = 0;
+  farm.Heartbeat(stuck, 50);
+  while (!farm.workers[stuck].leases.empty() && farm.workers[stuck].leases.size() == held) {
+    farm.now_ms += 250;  // as often as the server asks for heartbeats
+    waited_ms += 250;
+    farm.Heartbeat(stuck, 50);
+    ASSERT_LE(waited_ms, 1250) << "a lease time and a heartbeat";
+  }
+  EXPECT_LE(farm.workers[stuck].leases.size(), 1u) << "one on trial, until something moves";
+  const SessionId other = farm.Connect(8);
+  EXPECT_EQ(farm.workers[other].leases.size(), 5u) << "all but the one on trial";
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(SmallSettings(2), 2));
+}
+
+TEST(CoordinatorLeases, ASlowRenderKeepsItsLease) {
+  SimulatedFarm farm;
+  farm.Create(SmallSettings(2));
+  const SessionId slow = farm.Connect(2);
+  const LeaseId first = farm.workers[slow].leases.front().id();
+  for (int i = 0; i < 50; ++i) {
+    farm.now_ms += 900;
+    farm.Heartbeat(slow, i + 1);
+  }
+  ASSERT_FALSE(farm.workers[slow].leases.empty());
+  EXPECT_EQ(farm.workers[slow].leases.front().id(), first);
+}
+
+TEST(CoordinatorLeases, WhatWaitsForAThreadGoesWithWhatIsRendered) {
+  SimulatedFarm farm;
+  farm.Create(SmallSettings(2));
+  const SessionId worker = farm.Connect(1);
+  const std::deque<v1::Lease> leases = farm.workers[worker].leases;
+  ASSERT_EQ(leases.size(), 3u);
+  const auto beat = [&](int64_t samples) {
+    HeartbeatEvent event{worker};
+    for (const v1::Lease& lease : leases) {
+      v1::LeaseProgress& progress = event.leases.emplace_back();
+      progress.set_id(lease.id());
+      progress.set_state(lease.id() == leases.front().id() ? v1::LeaseProgress::STATE_RENDERING
+                                                           : v1::LeaseProgress::STATE_WAITING);
+      progress.set_samples(lease.id() == leases.front().id() ? samples : 0);
+    }
+    farm.now_ms += 500;
+    farm.Post(std::move(event));
+  };
+  for (int i = 1; i <= 10; ++i) beat(i);
+  EXPECT_EQ(farm.coordinator.ListLeases().size(), 3u);
+  EXPECT_EQ(farm.workers[worker].leases.front().id(), leases.front().id());
+  for (int i = 1; i <= 3; ++i) beat(10);
+  EXPECT_NE(farm.workers[worker].leases.front().id(), leases.front().id());
+}
+
+TEST(CoordinatorLeases, LeasesWhoseSceneIsBuiltAreKept) {
+  SimulatedFarm farm;
+  farm.Create(SmallSettings(2));
+  const SessionId worker = farm.Connect(1);
+  const LeaseId first = farm.workers[worker].leases.front().id();
+  for (int i = 0; i < 100; ++i) {
+    HeartbeatEvent event{worker};
+    for (const v1::Lease& lease : farm.workers[worker].leases) {
+      v1::LeaseProgress& progress = event.leases.emplace_back();
+      progress.set_id(lease.id());
+      progress.set_state(v1::LeaseProgress::STATE_BUILDING);
+    }
+    farm.now_ms += 500;
+    farm.Post(std::move(event));
+  }
+  EXPECT_EQ(farm.workers[worker].leases.front().id(), first);
+}
+
+// A worker of a fiftieth of the other's speed gets smaller ranges, and the film the same bits.
+TEST(CoordinatorLeases, LeasesAreCutToEachWorkersSpeed) {
+  CoordinatorConfig config = SmallConfig();
+  config.lease_target_ms = 500;
+  config.lease_ttl_ms = 1000000;
+  SimulatedFarm farm(config);
+  v1::JobSettings settings = SmallSettings(2048);
+  const JobId job = farm.Create(settings);
+  const SessionId fast = farm.Connect(1), slow = farm.Connect(1);
+  // Of one thread: 64 pixels x 256 samples in 100 ms, and in 5 s.
+  const auto render = [&](SessionId session, double us_per_sample) {
+    auto& leases = farm.workers[session].leases;
+    if (leases.empty()) return int64_t{0};
+    const v1::Lease lease = leases.front();
+    leases.pop_front();
+    DeltaEvent event = farm.Render(session, lease);
+    const int64_t size = lease.sample_end() - lease.sample_begin();
+    const auto us = static_cast<int64_t>(us_per_sample * static_cast<double>(size) *
+                                         lease.window().width() * lease.window().height());
+    farm.now_ms += us / 1000 + 1;
+    event.delta.mutable_render_time()->set_seconds(us / 1000000);
+    event.delta.mutable_render_time()->set_nanos(static_cast<int>(us % 1000000) * 1000);
+    farm.Post(std::move(event));
+    return size;
+  };
+  int64_t slow_max = 0, fast_max = 0;
+  for (int i = 0; farm.Job(job).state() != v1::JOB_STATE_DONE && i < 100000; ++i) {
+    const int64_t fast_size = render(fast, 6);
+    const int64_t slow_size = i % 50 == 0 ? render(slow, 300) : 0;
+    if (i < 500) continue;  // they are getting to know each other
+    fast_max = std::max(fast_max, fast_size);
+    slow_max = std::max(slow_max, slow_size);
+  }
+  EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(settings, 2048));
+  EXPECT_LE(slow_max, 32) << "500 ms are 26 samples of 64 pixels";
+  EXPECT_GE(slow_max, 8);
+  EXPECT_GE(fast_max, 32 * slow_max / 2);
+}
+
+TEST(CoordinatorLeases, LeasesGrowWhileDeltasKeepTheServerBusy) {
+  const auto largest = [](double load) {
+    SimulatedFarm farm;
+    v1::JobSettings settings = SmallSettings(1 << 16);
+    farm.Create(settings);
+    for (int i = 0; i < 50; ++i) farm.Post(TickEvent{load});
+    const SessionId worker = farm.Connect(1);
+    int64_t size = 0;
+    for (int i = 0; i < 150; ++i) {
+      const v1::Lease lease = farm.workers[worker].leases.front();
+      size = std::max(size, lease.sample_end() - lease.sample_begin());
+      DeltaEvent event = farm.Render(worker, lease);
+      farm.workers[worker].leases.pop_front();
+      // 20 us a sample, whatever the size.
+      const int64_t us = 20 * (lease.sample_end() - lease.sample_begin()) *
+                         lease.window().width() * lease.window().height();
+      farm.now_ms += us / 1000 + 1;
+      event.delta.mutable_render_time()->set_seconds(us / 1000000);
+      event.delta.mutable_render_time()->set_nanos(static_cast<int>(us % 1000000) * 1000);
+      farm.Post(std::move(event));
+      farm.Heartbeat(worker, i + 1);
+    }
+    return size;
+  };
+  EXPECT_EQ(largest(0), 256) << "500 ms are 390 samples of 64 pixels";
+  EXPECT_GE(largest(0.9), 1024);
+}
+
+TEST(CoordinatorLeases, LookingMovesTheOrderAndNoBit) {
+  SimulatedFarm farm;
+  const v1::JobSettings settings = SmallSettings();
+  const JobId job = farm.Create(settings);
+  const SessionId worker = farm.Connect(1);
+  v1::Region look;
+  look.set_x(17);
+  look.set_y(8);
+  look.set_width(1);
+  look.set_height(1);
+  EXPECT_TRUE(farm.Post(LookEvent{job, "", look}).status.ok());
+  EXPECT_EQ(farm.Job(job).settings().look().x(), 17);
+  std::vector<int64_t> tiles;
+  for (int i = 0; i < 6; ++i) {
+    tiles.push_back(farm.workers[worker].leases.front().tile_index());
+    farm.RenderOne(worker);
+  }
+  EXPECT_EQ(std::vector<int64_t>(tiles.begin() + 3, tiles.begin() + 5),
+            (std::vector<int64_t>{5, 5})) << "behind the three that were leased already";
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(settings, 16));
+  look.set_x(19);
+  EXPECT_TRUE(absl::IsInvalidArgument(farm.Post(LookEvent{job, "", look}).status));
+  EXPECT_TRUE(farm.Post(LookEvent{job, "", std::nullopt}).status.ok());
+  EXPECT_FALSE(farm.Job(job).settings().has_look());
+}
+}  // namespace
+}  // namespace tessera
