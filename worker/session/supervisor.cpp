@@ -7,7 +7,6 @@
 #include <algorithm>
 #include <cerrno>
 #include <csignal>
-#include <cstdlib>
 #include <cstring>
 #include <ctime>
 #include <fstream>
@@ -93,7 +92,8 @@ class Supervisor {
     prctl(PR_SET_PDEATHSIG, SIGKILL);
     if (getppid() != parent) _exit(1);  // it has died before the line above
     sigprocmask(SIG_SETMASK, &callers_mask_, nullptr);
-    std::exit(work_(crashes_));
+    // At once: what other code would do at an end may wait for threads that only the parent has.
+    _exit(work_(crashes_));
   }
 
   // Passes signals on until the child has ended; its wait status.

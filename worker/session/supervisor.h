@@ -1,6 +1,6 @@
 // The parent of a worker's process: starts it, starts it again when it crashes, and tells the next
-// one what the last one had in hand. The parent renders nothing and has no threads, so that it can
-// fork at any time and outlives what crashes a renderer.
+// one what the last one had in hand. The parent renders nothing, and outlives what crashes a
+// renderer.
 #pragma once
 
 #include <chrono>
@@ -23,12 +23,13 @@ struct SupervisorOptions {
   std::function<void(const std::string& line)> log{};  // null = silent
 };
 
-// The work of one process; returns its exit code. `crashes`: of the processes before it, the latest
-// last, a few at most.
+// The work of one process; returns its exit code, or becomes another program. `crashes`: of the
+// processes before it, the latest last, a few at most. It runs where only the thread that called
+// Supervise is left: if libraries have begun others, it should exec.
 using SupervisedWork = std::function<int(const std::vector<v1::CrashReport>& crashes)>;
 
 // Runs `work` in a forked process until it exits by itself, and returns its exit code. Call it
-// before any other thread exists.
+// before this program's own threads exist.
 //   A signal of its own (SIGSEGV, SIGABRT, ...), kExitOutOfMemory or the kernel's out-of-memory
 //   killer: the next process gets a report of it. SIGKILL from elsewhere: another process, no
 //   report. Any other signal ends this process too, in the same way.

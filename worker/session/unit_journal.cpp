@@ -1,19 +1,45 @@
 #include "worker/session/unit_journal.h"
 
 #include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <cstring>
 #include <new>
 
 namespace tessera {
+namespace {
+
+// Null when there is no memory.
+void* Map(int descriptor) {
+  void* const memory =
+      mmap(nullptr, sizeof(UnitJournal), PROT_READ | PROT_WRITE, MAP_SHARED, descriptor, 0);
+  return memory == MAP_FAILED ? nullptr : memory;
+}
+
+}  // namespace
 
 UnitJournal::Shared UnitJournal::Create() {
-  void* const memory = mmap(nullptr, sizeof(UnitJournal), PROT_READ | PROT_WRITE,
-                            MAP_SHARED | MAP_ANONYMOUS, -1, 0);
-  return Shared(memory == MAP_FAILED ? nullptr : new (memory) UnitJournal());
+  const int descriptor = memfd_create("units", 0);
+  if (descriptor < 0) return nullptr;
+  void* const memory = ftruncate(descriptor, sizeof(UnitJournal)) == 0 ? Map(descriptor) : nullptr;
+  if (memory == nullptr) {
+    close(descriptor);
+    return nullptr;
+  }
+  Shared journal(new (memory) UnitJournal());
+  journal->descriptor_ = descriptor;
+  return journal;
+}
+
+UnitJournal::Shared UnitJournal::Open(int descriptor) {
+  struct stat status;
+  if (fstat(descriptor, &status) != 0 || status.st_size != sizeof(UnitJournal)) return nullptr;
+  return Shared(static_cast<UnitJournal*>(Map(descriptor)));
 }
 
 void UnitJournal::Unmap::operator()(UnitJournal* journal) const {
+  close(journal->descriptor_);
   munmap(journal, sizeof(UnitJournal));
 }
 

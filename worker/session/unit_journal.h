@@ -22,8 +22,13 @@ class UnitJournal {
     void operator()(UnitJournal* journal) const;
   };
   using Shared = std::unique_ptr<UnitJournal, Unmap>;
-  // Shared with the processes that are forked later. Null when there is no memory for it.
+  // Shared with the processes that are started later. Null when there is no memory for it.
   static Shared Create();
+  // The one that another process has made, of which this one has the descriptor. Null when it is
+  // none.
+  static Shared Open(int descriptor);
+
+  int descriptor() const { return descriptor_; }  // the same in all processes that inherit it
 
   void Clear();
   void BeginUnit(int slot, const v1::Lease& lease);
@@ -50,6 +55,7 @@ class UnitJournal {
   };
   UnitJournal() = default;
 
+  int descriptor_ = -1;
   std::array<Unit, kSlotsMax> units_;
   Name build_;
 };

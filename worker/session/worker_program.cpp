@@ -2,11 +2,14 @@
 
 #include <spdlog/sinks/stdout_color_sinks.h>
 #include <spdlog/spdlog.h>
+#include <sys/mman.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <cerrno>
 #include <csignal>
 #include <cstdlib>
+#include <cstring>
 #include <exception>
 #include <iostream>
 #include <new>
@@ -31,6 +34,7 @@ struct Flags {
   SecurityFlags security;
   bool verbose = false;
   bool unsupervised = false;
+  std::vector<int> supervised_by;  // descriptors: the journal, the crashes before
   WorkerOptions worker;
 };
 
@@ -62,6 +66,7 @@ int ParseFlags(int argc, char** argv, Flags* flags, bool* run) {
   app.add_flag("--unsupervised", flags->unsupervised,
                "render in this process: nothing starts it again after a crash, for debuggers");
   ReadFlagsFromEnvironment(app);
+  app.add_option("--supervised-by", flags->supervised_by)->delimiter(',')->group("");
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
@@ -120,8 +125,7 @@ int ExitCodeOf(const absl::Status& status) {
 }
 
 // One process's work; signals: those that HandleSignals takes.
-int Render(const Flags& flags, const WorkerOptions& options,
-           std::unique_ptr<RendererFactory> factory) {
+int Render(const Flags& flags, std::unique_ptr<RendererFactory> factory) {
   sigset_t signals;
   sigemptyset(&signals);
   sigaddset(&signals, SIGTERM);
@@ -135,7 +139,7 @@ int Render(const Flags& flags, const WorkerOptions& options,
     std::cerr << "error: " << security.status().message() << "\n";
     return 2;
   }
-  WorkerSession session(MakeWorkerChannel(flags.server, *security), options, std::move(factory));
+  WorkerSession session(MakeWorkerChannel(flags.server, *security), flags.worker, std::move(factory));
   absl::Status status;
   {
     std::jthread signal_thread(
@@ -149,6 +153,25 @@ int Render(const Flags& flags, const WorkerOptions& options,
     spdlog::info("left");
   }
   return ExitCodeOf(status);
+}
+
+// Starts this program anew in the place of this process, as one that renders: libraries begin
+// threads before main, and a forked process lacks them. Returns only if that fails.
+int Become(int argc, char** argv, int journal, const std::vector<v1::CrashReport>& crashes) {
+  const int told_to = memfd_create("crashes", 0);
+  v1::Hello told;
+  for (const v1::CrashReport& crash : crashes) *told.add_crashes() = crash;
+  if (told_to < 0 || !told.SerializeToFileDescriptor(told_to) || lseek(told_to, 0, SEEK_SET) != 0) {
+    spdlog::error("cannot tell the next process of crashes: {}", std::strerror(errno));
+    return 1;
+  }
+  std::vector<char*> arguments(argv, argv + argc);
+  std::string by = "--supervised-by=" + std::to_string(journal) + "," + std::to_string(told_to);
+  arguments.push_back(by.data());
+  arguments.push_back(nullptr);
+  execv("/proc/self/exe", arguments.data());
+  spdlog::error("cannot start this program anew: {}", std::strerror(errno));
+  return 1;
 }
 
 }  // namespace
@@ -168,15 +191,20 @@ int RunWorkerProgram(int argc, char** argv,
                                            : spdlog::level::warn,
                 "{}", line);
   };
+  if (flags.supervised_by.size() == 2) {
+    const UnitJournal::Shared shared = UnitJournal::Open(flags.supervised_by[0]);
+    v1::Hello told;  // of which only the crashes are set
+    told.ParseFromFileDescriptor(flags.supervised_by[1]);
+    flags.worker.journal = shared.get();
+    flags.worker.crashes.assign(told.crashes().begin(), told.crashes().end());
+    return Render(flags, make_factory());
+  }
   const UnitJournal::Shared journal = flags.unsupervised ? nullptr : UnitJournal::Create();
-  if (journal == nullptr) return Render(flags, flags.worker, make_factory());
+  if (journal == nullptr) return Render(flags, make_factory());
   SupervisorOptions supervisor;
   supervisor.log = [](const std::string& line) { spdlog::warn("{}", line); };
   return Supervise(*journal, supervisor, [&](const std::vector<v1::CrashReport>& crashes) {
-    WorkerOptions options = flags.worker;
-    options.journal = journal.get();
-    options.crashes = crashes;
-    return Render(flags, options, make_factory());
+    return Become(argc, argv, journal->descriptor(), crashes);
   });
 }
 
