@@ -390,12 +390,15 @@ bool Coordinator::Race(Worker& worker) {
     const Job& job = *jobs_.at(lease.job);
     if (now_.monotonic_ms - lease.issued_ms < config_.lease_ttl_ms / 4) break;
     if (lease.session == worker.session || job.leases_of_unit.at(lease.unit).size() > 1) continue;
-    if (job.suspects.contains(lease.unit)) continue;  // it would be neither alone nor safe
+    // A suspect is raced late, and alone: if it is to blame, both crashes count.
+    const bool is_suspect = job.suspects.contains(lease.unit);
+    if (is_suspect && now_.monotonic_ms - lease.issued_ms < 4 * config_.lease_ttl_ms) continue;
     if (!CanServe(worker, job)) continue;
     oldest = &lease;
     break;
   }
   if (oldest == nullptr) return false;
+  worker.is_alone = jobs_.at(oldest->job)->suspects.contains(oldest->unit);
   Grant(worker, *jobs_.at(oldest->job), Unit(oldest->unit));
   leases_.rbegin()->second.is_race = true;
   return true;
