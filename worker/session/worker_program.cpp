@@ -161,7 +161,8 @@ int Become(int argc, char** argv, int journal, const std::vector<v1::CrashReport
   const int told_to = memfd_create("crashes", 0);
   v1::Hello told;
   for (const v1::CrashReport& crash : crashes) *told.add_crashes() = crash;
-  if (told_to < 0 || !told.SerializeToFileDescriptor(told_to) || lseek(told_to, 0, SEEK_SET) != 0) {
+  if (told_to < 0 || !told.SerializeToFileDescriptor(told_to) ||
+      lseek(told_to, 0, SEEK_SET) != 0) {
     spdlog::error("cannot tell the next process of crashes: {}", std::strerror(errno));
     return 1;
   }
