@@ -139,7 +139,8 @@ int Render(const Flags& flags, std::unique_ptr<RendererFactory> factory) {
     std::cerr << "error: " << security.status().message() << "\n";
     return 2;
   }
-  WorkerSession session(MakeWorkerChannel(flags.server, *security), flags.worker, std::move(factory));
+  WorkerSession session(MakeWorkerChannel(flags.server, *security), flags.worker,
+                        std::move(factory));
   absl::Status status;
   {
     std::jthread signal_thread(
