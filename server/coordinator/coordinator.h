@@ -168,7 +168,8 @@ class Coordinator {
                      const v1::CrashReport& report);
   void Convict(Job& job, const Unit& unit, const std::string& host, const v1::CrashReport& report);
   void GrantSuspects();
-  Worker* WorkerForSuspect(const Job& job, const std::set<std::string>& crash_hosts);
+  Worker* WorkerForSuspect(const Job& job, const std::set<std::string>& crash_hosts,
+                           const std::set<std::string>& heard_hosts);
   std::optional<Unit> AuditFor(Job& job, const Worker& worker);
   bool KeepUnit(Job& job, const Unit& unit);
   void CloseQueue(Job& job);

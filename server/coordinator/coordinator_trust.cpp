@@ -194,13 +194,16 @@ void Coordinator::Convict(Job& job, const Unit& unit, const std::string& host,
                          "has a fault there; report it, or leave those pixels out (--region)"));
 }
 
-// The idlest one that may; of another host than those that have crashed, where there is one.
+// The idlest one that may; of another host than those that have crashed, where there is one, and
+// never of one that has said what it has to say of the unit.
 Coordinator::Worker* Coordinator::WorkerForSuspect(const Job& job,
-                                                   const std::set<std::string>& crash_hosts) {
+                                                   const std::set<std::string>& crash_hosts,
+                                                   const std::set<std::string>& heard_hosts) {
   Worker* best = nullptr;
   bool best_is_new = false;
   for (auto& [session, worker] : workers_) {
-    if (worker->is_alone || worker->reserved || IsSilent(*worker) || !CanServe(*worker, job)) {
+    if (worker->is_alone || worker->reserved || IsSilent(*worker) || !CanServe(*worker, job) ||
+        heard_hosts.contains(worker->hello.host())) {
       continue;
     }
     const bool is_new = !crash_hosts.contains(worker->hello.host());
@@ -231,12 +234,12 @@ void Coordinator::GrantSuspects() {
     if (!job.IsOpen() || !FitsMemory(job)) continue;
     for (const auto& [unit, suspect] : job.suspects) {
       if (job.leases_of_unit.contains(unit)) continue;
-      std::set<std::string> hosts = suspect.hosts;
+      std::set<std::string> heard;
       if (const auto audit = job.audits.find(unit); audit != job.audits.end()) {
-        for (const Testimony& testimony : audit->second) hosts.insert(testimony.host);
+        for (const Testimony& testimony : audit->second) heard.insert(testimony.host);
       }
-      Worker* const worker = WorkerForSuspect(job, hosts);
-      if (worker == nullptr) break;
+      Worker* const worker = WorkerForSuspect(job, suspect.hosts, heard);
+      if (worker == nullptr) continue;
       worker->reserved = true;
       if (!worker->leases.empty()) continue;
       worker->is_alone = true;

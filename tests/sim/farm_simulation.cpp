@@ -140,9 +140,35 @@ class Farm {
     }
   }
 
+  // The jobs that have not ended, and who has leases of them.
+  std::string WhatIsLeft() {
+    if (!server_.is_up()) return "; the server is down";
+    std::string left;
+    server_.host().Read([&](const Coordinator& c) {
+      for (const v1::Job& job : c.ListJobs(0, SIZE_MAX)) {
+        if (job.has_end_time()) continue;
+        absl::StrAppend(&left, "; ", job.name(), " ", v1::JobState_Name(job.state()), " ",
+                        job.progress().samples(), "/", job.progress().samples_total(), " ",
+                        job.waiting());
+      }
+      for (const v1::Worker& worker : c.ListWorkers({})) {
+        absl::StrAppend(&left, "; ", worker.name(), " of ", worker.host(), ", ", worker.threads(),
+                        " threads, ", worker.samples(), " samples");
+      }
+      for (const Coordinator::LeaseView& lease : c.ListLeases()) {
+        absl::StrAppend(&left, "; session ", lease.session, " has ", JobName(lease.job), " tile ",
+                        lease.unit.tile, " [", lease.unit.range.begin, ", ", lease.unit.range.end,
+                        ") ", v1::LeaseProgress::State_Name(lease.state), " ", lease.samples);
+      }
+      return 0;
+    });
+    return left;
+  }
+
   // All jobs have ended, with the right bits, and that is what a restart finds.
   void CheckEnd() {
-    if (!done_) return checkers_.Fail("some job has not ended long after the last fault");
+    if (!done_) return checkers_.Fail(
+        absl::StrCat("some job has not ended long after the last fault", WhatIsLeft()));
     for (SimClient& client : clients_) client.CheckEnd();
     const int64_t settled_us = time_.now_us() + 10 * kSecond;
     while (checkers_.violation().empty() && time_.RunNext(settled_us)) {
