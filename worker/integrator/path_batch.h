@@ -46,7 +46,8 @@ struct PathWalker::PathState {
   std::optional<Bsdf> bsdf;
   bool transmits;  // light from below the surface counts
   SobolSampler::Points numbers;
-  LightSample light;
+  // Set where no light reaches the path, too: a register reads it, and drops what comes of it.
+  LightSample light = {V3f(0, 0, 0), V3f(0, 0, 0), 1, false, false, V3f(0, 0, 0), V3f(0, 0, 0)};
   Ray shadow;
   V3f direct;  // what the light adds if nothing is in the way of the shadow ray
 };

@@ -2,6 +2,7 @@
 // one by one. Bits do not depend on the company in a register.
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 
 #include "worker/integrator/path_batch.h"
 #include "worker/integrator/portable_math.h"
@@ -9,6 +10,16 @@
 
 namespace tessera {
 namespace {
+
+// What loads of four numbers find behind a vector.
+constexpr size_t kBehind = sizeof(V3f);
+static_assert(kBehind == 3 * sizeof(float));
+static_assert(offsetof(LightSample, radiance) == offsetof(LightSample, wi) + kBehind);
+static_assert(offsetof(LightSample, pdf) == offsetof(LightSample, radiance) + kBehind);
+static_assert(offsetof(Surface, coordinate_max) == offsetof(Surface, position) + kBehind);
+// A number that nobody reads, of the same object.
+static_assert(sizeof(Surface) >= offsetof(Surface, shading_normal) + 4 * sizeof(float));
+static_assert(sizeof(Ray) >= offsetof(Ray, direction) + 4 * sizeof(float));
 
 // Power heuristic, exponent 2, as a ratio that cannot overflow.
 template <typename Real>
