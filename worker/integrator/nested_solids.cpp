@@ -74,6 +74,7 @@ std::unique_ptr<const NestedSolids> NestedSolids::Find(const Scene& scene,
   nested->solids_.resize(scene.materials.size());
   std::vector<V3d> vectors(scene.materials.size(), V3d(0, 0, 0));
   std::vector<double> areas(scene.materials.size(), 0);
+  std::vector<bool> has_holes(scene.materials.size(), false);
   std::vector<Imath::Box3f> bounds;
   std::map<const Mesh*, Shape> shapes;  // a mesh may have many instances
   for (uint32_t i = 0; i < scene.instances.size(); ++i) {
@@ -82,7 +83,10 @@ std::unique_ptr<const NestedSolids> NestedSolids::Find(const Scene& scene,
     const auto material = static_cast<size_t>(mesh.material);
     if (!IsRefracting(scene.materials[material]) || mesh.triangles.empty()) continue;
     const auto [shape, is_new] = shapes.try_emplace(&mesh);
-    if (is_new) shape->second = ShapeOf(mesh);
+    if (is_new) {
+      shape->second = ShapeOf(mesh);
+      if (surfaces.HasAlpha(mesh)) has_holes[material] = true;
+    }
     const Imath::M33d cofactors(geometry.transform.cofactors);
     vectors[material] += shape->second.vector * cofactors;
     areas[material] += shape->second.area * Norm(cofactors);
@@ -95,7 +99,8 @@ std::unique_ptr<const NestedSolids> NestedSolids::Find(const Scene& scene,
   if (!AnyMeet(std::move(bounds))) return nullptr;
   for (size_t i = 0; i < nested->solids_.size(); ++i) {
     Solid& solid = nested->solids_[i];
-    solid.is_closed = areas[i] > 0 && vectors[i].length() <= kClosed * areas[i];
+    solid.is_closed =
+        areas[i] > 0 && vectors[i].length() <= kClosed * areas[i] && !has_holes[i];
     for (size_t k = 0; k < i; ++k) {
       if (!solid.is_closed || !nested->solids_[k].is_closed) continue;
       const float ratio = IndexRatio(solid.ior, nested->solids_[k].ior);

@@ -3,7 +3,8 @@
 // of them, and boundaries of the others are not there. glTF has no priorities: the solid with the
 // smaller bounds has the place, as what lies inside something is smaller (ice in water, water that
 // reaches into its glass). Solids of one material melt together. A solid is all that has one
-// material, if its surface is closed; others keep to themselves.
+// material, if its surface is closed and has no alpha, which lets paths in and out without a
+// boundary; others keep to themselves.
 #pragma once
 
 #include <array>

@@ -167,5 +167,31 @@ TEST(NestedSolidsTest, OpenSurfacesKeepToThemselves) {
   }
 }
 
+// A path would get in or out through a hole without a boundary.
+TEST(NestedSolidsTest, SurfacesWithAlphaKeepToThemselves) {
+  for (const AlphaMode mode : {AlphaMode::kOpaque, AlphaMode::kMask, AlphaMode::kBlend}) {
+    for (const float alpha : {1.f, 0.5f}) {
+      Scene scene;
+      Material holed = SolidGlass(1.5f);
+      holed.alpha_mode = mode;
+      holed.base_color.w = alpha;
+      const int glass = AddMaterial(holed, &scene);
+      AddMesh(Slab(glass, 1, 0, 1), &scene);
+      AddMesh(Slab(AddMaterial(SolidGlass(1.33f), &scene), 4, -1, 1), &scene);
+      const std::vector<InstanceGeometry> geometries = PlaceInstances(&scene);
+      const auto solids = NestedSolids::Find(scene, SurfaceReader(scene, geometries));
+      ASSERT_NE(solids, nullptr);
+      Surface skin{}, block{};
+      skin.material = static_cast<uint32_t>(glass);
+      block.material = static_cast<uint32_t>(glass) + 1;
+      skin.front_face = block.front_face = true;
+      NestedSolids::Inside inside;
+      solids->Cross(skin, &inside);
+      EXPECT_EQ(solids->Hides(inside, block), mode == AlphaMode::kOpaque || alpha == 1)
+          << static_cast<int>(mode) << " " << alpha;
+    }
+  }
+}
+
 }  // namespace
 }  // namespace tessera::testing
