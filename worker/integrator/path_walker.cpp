@@ -20,9 +20,8 @@ namespace {
 // its throughput costs more in variance than it saves in time (measured, docs/path-tracer.md).
 constexpr int kRouletteStart = 1;
 constexpr float kRouletteScale = 1.2f;
-// Of lights with an extent, at the first surface: two samples share its camera ray.
-constexpr int kFirstLightSamples = 2;
-static_assert(kRouletteStart > 0 && kFirstLightSamples <= 2, "of the numbers of the first bounce");
+static_assert(kRouletteStart > 0 && PathWalker::kFirstLightSamples <= 2,
+              "of the numbers of the first bounce");
 // Paths through more surfaces than this end, whatever max_depth says.
 constexpr int kDepthLimit = 1024;
 
@@ -50,12 +49,14 @@ void Store(const V3f& v, float (&out)[3]) {
 PathWalker::PathWalker(const Parts& parts)
     : parts_(parts),
       first_hits_(parts.camera, parts.embree, parts.environment),
-      max_depth_(std::min(parts.max_depth, kDepthLimit)) {}
+      max_depth_(std::min(parts.max_depth, kDepthLimit)) {
+  TESSERA_CHECK(parts.first_light_samples > 0 && parts.first_light_samples <= kFirstLightSamples);
+}
 
 int PathWalker::NumBranches(int depth) const { return depth == 0 ? parts_.branches : 1; }
 
 int PathWalker::NumLightSamples(int depth) const {
-  return depth == 0 && parts_.lights.has_extended_lights() ? kFirstLightSamples : 1;
+  return depth == 0 && parts_.lights.has_extended_lights() ? parts_.first_light_samples : 1;
 }
 
 void PathWalker::Start(const PathRequest& request, const CameraHit& hit, PathState* path) const {
@@ -373,7 +374,7 @@ bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
   const float most = MaxComponent(path->throughput);
   if (!(most > 0)) return false;
   const float survival = kRouletteScale * std::sqrt(most);
-  if (path->depth >= kRouletteStart && survival < 1) {
+  if (path->depth >= kRouletteStart && survival < 1 && parts_.has_roulette) {
     if (path->numbers[kRoulette].x >= survival) return false;
     path->throughput *= 1 / survival;
   }

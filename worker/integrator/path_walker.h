@@ -25,6 +25,9 @@ class PathWalker {
  public:
   static constexpr int kSamplesMax = FirstHits::kRaysMax;  // at once; a power of two
 
+  // Of lights with an extent, at the first surface: two share its camera ray.
+  static constexpr int kFirstLightSamples = 2;
+
   struct Parts {
     const SurfaceReader& surfaces;
     const EmbreeScene& embree;
@@ -35,6 +38,9 @@ class PathWalker {
     LightStrategy strategy = LightStrategy::kBoth;
     int branches = 1;  // into which a path parts at its first surface; a power of two
     const NestedSolids* solids = nullptr;  // null: no solids of glass overlap
+    // What moves no mean, for tests of that.
+    bool has_roulette = true;
+    int first_light_samples = kFirstLightSamples;  // or 1
   };
   explicit PathWalker(const Parts& parts);
 

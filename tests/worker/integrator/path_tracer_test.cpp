@@ -180,6 +180,43 @@ TEST(PathTracerTest, ClosedEmittingSphereIsAFurnace) {
   }
 }
 
+// A closed room of dark walls, which roulette ends most paths in, under a lamp that both strategies
+// find.
+std::unique_ptr<Scene> DarkRoom() {
+  auto scene = std::make_unique<Scene>();
+  const int wall = AddMaterial(Lambert(V3f(0.3f)), scene.get());
+  const V3f x(2, 0, 0), y(0, 2, 0), z(0, 0, 2), o(-1, -1, -1);
+  for (const Mesh& side : {Quad(wall, o, x, y), Quad(wall, o, y, z), Quad(wall, o, z, x),
+                           Quad(wall, o + z, x, y), Quad(wall, o + x, y, z),
+                           Quad(wall, o + y, z, x)}) {
+    AddMesh(side, scene.get());
+  }
+  const int lamp = AddMaterial(Emitter(V3f(1)), scene.get());
+  AddMesh(Quad(lamp, {-0.9f, 0.9f, -0.9f}, {1.8f, 0, 0}, {0, 0, 1.8f}), scene.get());
+  scene->camera = Camera({0, 0.2f, 0.9f}, {0, 0.2f, -0.9f}, 60);
+  return scene;
+}
+
+// Russian roulette and the number of light samples at the first surface trade time for noise.
+TEST(PathTracerTest, RouletteAndSecondLightSamplesMoveNoMean) {
+  constexpr int kSpp = 32, kSeeds = 64;
+  OpenTracer tracer(DarkRoom(), 8, 8, 32);
+  const RadianceMoments as_shipped = tracer.Render(kSpp, kSeeds);
+  for (const bool has_roulette : {true, false}) {
+    PathWalker::Parts parts = tracer.Parts();
+    parts.has_roulette = has_roulette;
+    parts.first_light_samples = has_roulette ? 1 : PathWalker::kFirstLightSamples;
+    tracer.SetParts(parts);
+    const RadianceMoments without = tracer.Render(kSpp, kSeeds, kSeeds);
+    for (size_t c = 0; c < 3; ++c) {
+      const double error = std::hypot(as_shipped.standard_error[c], without.standard_error[c]);
+      // Z within 4: 1 in 16,000.
+      EXPECT_LT(std::fabs(as_shipped.mean[c] - without.mean[c]), 4 * error) << has_roulette;
+      EXPECT_LT(error, 0.003 * without.mean[c]) << has_roulette;
+    }
+  }
+}
+
 TEST(PathTracerTest, WhiteFurnaceOfObjectsInAUniformSky) {
   std::vector<Material> materials = {Lambert(V3f(1))};
   for (float roughness : {0.f, 0.1f, 0.25f, 0.5f, 1.f}) {

@@ -148,6 +148,8 @@ OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int 
                        LightStrategy strategy)
     : width_(width),
       height_(height),
+      max_depth_(max_depth),
+      strategy_(strategy),
       scene_(std::move(scene)),
       geometries_(PlaceInstances(scene_.get())) {
   surfaces_ = std::make_unique<SurfaceReader>(*scene_, geometries_);
@@ -159,9 +161,17 @@ OpenTracer::OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int 
                                            bounds.isEmpty() ? 1.f : 0.5f * bounds.size().length());
   camera_ = std::make_unique<CameraRays>(scene_->camera, width, height);
   solids_ = NestedSolids::Find(*scene_, *surfaces_);
-  PathWalker::Parts parts{*surfaces_, *embree_, environment_.get(), *lights_,
-                          *camera_,   max_depth, strategy};
+  SetParts(Parts());
+}
+
+PathWalker::Parts OpenTracer::Parts() const {
+  PathWalker::Parts parts{*surfaces_, *embree_,   environment_.get(), *lights_,
+                          *camera_,   max_depth_, strategy_};
   parts.solids = solids_.get();
+  return parts;
+}
+
+void OpenTracer::SetParts(const PathWalker::Parts& parts) {
   walker_ = std::make_unique<PathWalker>(parts);
 }
 
@@ -171,11 +181,11 @@ void OpenTracer::Guide() {
   lights_->SetGuide(guide_.get());
 }
 
-RadianceMoments OpenTracer::Render(int64_t spp, int repeats) const {
+RadianceMoments OpenTracer::Render(int64_t spp, int repeats, int first_seed) const {
   std::array<double, 3> sum = {}, sum2 = {};
   RadianceMoments moments;
   int64_t rays = 0;
-  for (int seed = 0; seed < repeats; ++seed) {
+  for (int seed = first_seed; seed < first_seed + repeats; ++seed) {
     std::array<double, 3> frame = {};
     for (int y = 0; y < height_; ++y) {
       for (int x = 0; x < width_; ++x) {

@@ -51,11 +51,15 @@ class OpenTracer {
   OpenTracer(std::unique_ptr<Scene> scene, int width, int height, int max_depth,
              LightStrategy strategy = LightStrategy::kBoth);
 
+  // What the walker is made of, and another one, of parts that a test has changed.
+  PathWalker::Parts Parts() const;
+  void SetParts(const PathWalker::Parts& parts);
+
   // Lets a pilot learn what light arrives where.
   void Guide();
 
   // Mean radiance of every pixel, and its standard error over `repeats` independent seeds.
-  RadianceMoments Render(int64_t spp, int repeats) const;
+  RadianceMoments Render(int64_t spp, int repeats, int first_seed = 0) const;
 
   const Scene& scene() const { return *scene_; }
   const SurfaceReader& surfaces() const { return *surfaces_; }
@@ -65,7 +69,8 @@ class OpenTracer {
   const PathWalker& walker() const { return *walker_; }
 
  private:
-  int width_, height_;
+  int width_, height_, max_depth_;
+  LightStrategy strategy_;
   std::unique_ptr<Scene> scene_;
   std::vector<InstanceGeometry> geometries_;
   std::unique_ptr<SurfaceReader> surfaces_;
