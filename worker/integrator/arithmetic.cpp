@@ -84,13 +84,8 @@ uint64_t ComputeNarrow() {
   return hash;
 }
 
-uint64_t Narrow() {
-  static const uint64_t hash = ComputeNarrow();
-  return hash;
-}
-
-uint64_t ComputeWide() {
-  uint64_t hash = Narrow();
+uint64_t ComputeWide(uint64_t narrow) {
+  uint64_t hash = narrow;
   AddApproximation(Reciprocal14, &hash);
   AddApproximation(ReciprocalRoot14, &hash);
   return hash;
@@ -100,9 +95,16 @@ uint64_t ComputeWide() {
 
 std::string ArithmeticOf(const std::string& isa_class) {
   TESSERA_CHECK(ProcessorRuns(isa_class));
-  if (isa_class != "x86-64-v4") return TextOf(Narrow());
-  static const uint64_t wide = ComputeWide();
+  static const uint64_t narrow = ComputeNarrow();
+  if (isa_class != "x86-64-v4") return TextOf(narrow);
+  static const uint64_t wide = ComputeWide(narrow);
   return TextOf(wide);
+}
+
+std::string ComputeArithmetic(const std::string& isa_class) {
+  TESSERA_CHECK(ProcessorRuns(isa_class));
+  const uint64_t narrow = ComputeNarrow();
+  return TextOf(isa_class == "x86-64-v4" ? ComputeWide(narrow) : narrow);
 }
 
 }  // namespace tessera

@@ -11,5 +11,7 @@ namespace tessera {
 // 16 hexadecimal digits, equal on two machines that give the same bits in `isa_class`, which this
 // machine must run. Takes some 20 ms, once.
 std::string ArithmeticOf(const std::string& isa_class);
+// The same, computed anew by each call.
+std::string ComputeArithmetic(const std::string& isa_class);
 
 }  // namespace tessera
