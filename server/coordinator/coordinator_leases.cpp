@@ -531,9 +531,11 @@ std::string Coordinator::ReasonOfWorkers(const Job& job) const {
                         job.last_decline.empty() ? "" : "; ", job.last_decline);
   }
   if (other_arithmetic > 0) {
-    return absl::StrCat("no connected worker computes in the arithmetic of its samples, ",
+    const bool has_samples = job.film->samples() > 0 || job.record.settings().arithmetic().empty();
+    return absl::StrCat("no connected worker computes in the arithmetic ",
+                        has_samples ? "of its samples, " : "that it asks for, ",
                         job.PinnedArithmetic(), ", but ", other_arithmetic, " in another: start "
-                        "one on a processor like those that rendered them, or submit it anew (a "
+                        "one on a processor like those of that arithmetic, or submit it anew (a "
                         "replay with --arithmetic any, for bits that may differ)");
   }
   if (other_isa > 0) {

@@ -34,6 +34,7 @@ TEST(CoordinatorArithmetic, AJobStaysWithThatOfItsFirstWorker) {
   EXPECT_TRUE(farm.workers[other].leases.empty()) << "it has samples of the first";
   const std::string waiting = farm.Job(job).waiting();
   EXPECT_THAT(waiting, HasSubstr(kArithmetic));
+  EXPECT_THAT(waiting, HasSubstr("of its samples"));
   EXPECT_THAT(waiting, HasSubstr("start one on a processor like"));
   // Another job is free to take the other ones.
   const JobId second = farm.Create(SmallSettings(16));
@@ -104,6 +105,7 @@ TEST(CoordinatorArithmetic, OneThatIsAskedForIsWaitedFor) {
   const SessionId first = farm.Connect();
   EXPECT_TRUE(farm.workers[first].leases.empty());
   EXPECT_THAT(farm.Job(job).waiting(), HasSubstr("--arithmetic any"));
+  EXPECT_THAT(farm.Job(job).waiting(), HasSubstr("that it asks for"));
   ConnectOther(farm);
   EXPECT_EQ(farm.Job(job).waiting(), "");
   farm.RunAll();
