@@ -95,12 +95,14 @@ class RenderCommand {
     if (here == wanted) return absl::OkStatus();
     if (settings->has_replay() && flags_.scene.arithmetic.empty()) {
       settings->clear_arithmetic();
-      std::fprintf(stderr,
-                   "tessera: the picture was rendered in the processor arithmetic %s, this machine "
-                   "computes in %s: the replay has the same samples, but their last bits may "
-                   "differ; for the same digest replay it on a processor like the first, or on a "
-                   "farm that has one (--server)\n",
-                   wanted.c_str(), here.c_str());
+      if (!flags_.quiet) {
+        std::fprintf(stderr,
+                     "tessera: the picture was rendered in the processor arithmetic %s, this "
+                     "machine computes in %s: the replay has the same samples, but their last bits "
+                     "may differ; for the same digest replay it on a processor like the first, or "
+                     "on a farm that has one (--server)\n",
+                     wanted.c_str(), here.c_str());
+      }
       return absl::OkStatus();
     }
     return absl::InvalidArgumentError(absl::StrCat(
