@@ -35,7 +35,7 @@ struct Options {
   SceneView view;
   std::string size = "480x270";
   int width = 0, height = 0;
-  int64_t spp = 16;
+  int64_t spp = 16, feature_spp = kAllFeatures;
   int threads = 2, max_depth = 8, build_threads = 2, branches = 0;
   uint64_t seed = 0;
 };
@@ -160,6 +160,7 @@ absl::Status Run(const Options& options) {
   settings.seed = options.seed;
   settings.isa = options.isa;
   settings.branches = options.branches;
+  settings.feature_end = options.feature_spp;
   settings.build_threads = options.build_threads;
   auto tracer = PathTracer::Create(*std::move(scene), settings);
   if (!tracer.ok()) return tracer.status();
@@ -207,6 +208,7 @@ int main(int argc, char** argv) {
   app.add_option("--spp", options.spp);
   app.add_option("--threads", options.threads);
   app.add_option("--build-threads", options.build_threads);
+  app.add_option("--feature-spp", options.feature_spp)->check(CLI::PositiveNumber);
   app.add_option("--max-depth", options.max_depth);
   app.add_option("--branches", options.branches)->check(CLI::IsMember({0, 1, 2, 4, 8}));
   app.add_option("--seed", options.seed);
