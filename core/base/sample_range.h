@@ -18,9 +18,9 @@ struct SampleRange {
 
   int64_t size() const { return end - begin; }
   bool empty() const { return end <= begin; }
-  // Whether the range is one node of the folding tree.
+  // Whether the range is one node of the folding tree. Of any two numbers.
   bool IsNode() const {
-    return size() > 0 && std::has_single_bit(static_cast<uint64_t>(size())) &&
+    return begin >= 0 && end > begin && std::has_single_bit(static_cast<uint64_t>(size())) &&
            (begin & (size() - 1)) == 0;
   }
   // How many of the samples belong to `half`.

@@ -76,7 +76,9 @@ bool ReadNode(HashedReader& file, const PixelRect& window, int64_t feature_end,
   NodeHeader header;
   if (!file.Read(&header, sizeof(header))) return false;
   const SampleRange range{header.begin, header.end};
-  if (range.begin < 0 || !range.IsNode() || header.payload_bytes > kPayloadBytesMax) return false;
+  if (!range.IsNode() || range.end > kSamplesMax || header.payload_bytes > kPayloadBytesMax) {
+    return false;
+  }
   payload.resize(header.payload_bytes);
   if (!file.Read(payload.data(), payload.size())) return false;
   absl::StatusOr<TileStatistics> decoded =
