@@ -11,7 +11,7 @@ from glb_writer import GlbWriter
 def _room(name: str, lamp_side: float = 0.6, lamp_power: float = 12.0, floor_cells: int = 0,
           wall_cells: int = 0) -> GlbWriter:
     """A box of 4x2.4x4 m, open to the camera, under a square lamp that the camera does not see, for
-    its rim would outweigh all else. Power in W per steradian."""
+    its rim would outweigh all else: that has a scene of its own. Power in W per steradian."""
     scene = GlbWriter(name)
 
     def surface(what, color, cells):
@@ -55,6 +55,16 @@ def firefly(strength: float) -> GlbWriter:
     scene = _room("firefly", lamp_side=math.sqrt(12.0 / strength))
     brass = scene.material("brass", (0.9, 0.75, 0.4), metallic=1.0, roughness=0.05)
     scene.add("ball", shapes.sphere(0.6, 64, 32), brass, at=(0, 0.6, 0.2))
+    return scene
+
+
+def rim_of_lamp(radiance: float) -> GlbWriter:
+    """A ball that glows in the camera's view, of constant power, and no other light: pixels that it
+    covers in part outshine those beside them, the more the smaller and brighter it is."""
+    scene = _furnish(_room("rim of a lamp", lamp_side=0.02, lamp_power=1e-6))
+    glow = scene.material("bulb", (0, 0, 0), emission=(radiance,) * 3)
+    scene.add("bulb", shapes.sphere(math.sqrt(12.0 / (math.pi * radiance)), 64, 32), glow,
+              at=(0, 1.6, -1.0))
     return scene
 
 

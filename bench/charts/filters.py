@@ -10,6 +10,7 @@ from matplotlib.colors import LogNorm
 from charts import adaptive, pages, sweeps
 from tessera_chart import drawing, measures, methods
 
+COLUMNS = 5  # of the sweeps' chart
 SPECTRUM_BANDS = 9  # of an octave's half or so each
 
 
@@ -30,8 +31,13 @@ def _failures(rows: list[dict]) -> list[str]:
 
 
 def draw_sweeps(rows: list[dict], path: pathlib.Path) -> None:
-    figure, grid = pyplot.subplots(3, 4, figsize=(13, 8.6), sharey=True)
-    for axes, name in zip(grid.ravel(), _failures(rows)):
+    names = _failures(rows)
+    lines = -(-len(names) // COLUMNS)
+    figure, grid = pyplot.subplots(lines, COLUMNS, figsize=(16, 2.9 * lines), sharey=True,
+                                   squeeze=False)
+    for axes in grid.ravel()[len(names):]:
+        axes.set_axis_off()
+    for axes, name in zip(grid.ravel(), names):
         for index, method in enumerate(_methods(rows)):
             found = [r for r in rows if r["failure"] == name and r["method"] == method
                      and r["ratio"] > 0]

@@ -32,6 +32,8 @@ class Failure:
 
 FAILURES = {
     "firefly": Failure("lamp radiance", (100, 1000, 10000, 100000), failures.firefly),
+    "rim of a lamp": Failure("radiance of a lamp in view; 4 samples", (10, 100, 1000, 10000),
+                             failures.rim_of_lamp, spp=4),
     "rare light": Failure("side of the hole, m; 4 samples", (0.4, 0.2, 0.1, 0.05),
                           failures.rare_light, spp=4, reference_spp=1024, num_seeds=6),
     "mean-correlated": Failure("samples a pixel, rare light", (2, 8, 32, 128),
