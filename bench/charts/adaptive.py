@@ -22,17 +22,26 @@ def _raw_mean(path) -> float:
     return float(pixels[:, :, [names.index(f"raw.{c}") for c in "RGB"]].mean())
 
 
-def _render(each, kind: str, seed: int, goal: tuple) -> None:
-    key = f"{kind}.{seed}"
-    if each.store.get(key):
-        return
+def _key(kind: str, seed: int, goal: tuple) -> str:
+    """Names all that decides the result and that the store's folder does not."""
+    return ".".join([kind, str(seed), *(str(g).lstrip("-") for g in goal)])
+
+
+def _render(each, kind: str, seed: int, goal: tuple) -> dict:
+    """`spp` and the raw `mean`, measured or taken up."""
+    key = _key(kind, seed, goal)
+    found = each.store.get(key)
+    if found is not None:
+        return found
     plan = each.plan
     out = each.store.path(key + ".exr")
     figures, _ = plan.tessera.run(
         "render", each.view.file, *each.view.flags, "--size", plan.size, "--seed", seed, "--threads",
         1, "--quiet", *goal, "--layers", "final,raw", "-o", out)
-    each.store.put(key, {"spp": figures["spp"], "mean": _raw_mean(out)})
+    found = {"spp": figures["spp"], "mean": _raw_mean(out)}
+    each.store.put(key, found)
     out.unlink()
+    return found
 
 
 def measure(run, sweep) -> list[dict]:
@@ -42,22 +51,23 @@ def measure(run, sweep) -> list[dict]:
     seeds = range(101, 101 + (1 if run.quick else NUM_SEEDS))
     most = 8 if run.quick else SPP_MAX
 
-    def work(each, target: float) -> None:
-        for seed in seeds:
-            _render(each, "adaptive", seed, ("--target-error", target, "--spp", most))
-        counts = [each.store.get(f"adaptive.{s}")["spp"] for s in seeds]
-        spp = max(2, round(sum(counts) / len(counts)))
-        for seed in seeds:
-            _render(each, "uniform", seed, ("--spp", spp))
+    by_severity: list[dict[str, list[dict]]] = [{} for _ in sweep.values]
+
+    def work(each, target: float, of: dict[str, list[dict]]) -> None:
+        goal = ("--target-error", target, "--spp", most)
+        of["adaptive"] = [_render(each, "adaptive", seed, goal) for seed in seeds]
+        counts = [found["spp"] for found in of["adaptive"]]
+        goal = ("--spp", max(2, round(sum(counts) / len(counts))))
+        of["uniform"] = [_render(each, "uniform", seed, goal) for seed in seeds]
 
     chosen = [sweep.ladder_of(at)[0] for at in range(len(sweep.values))]
-    lanes.run([functools.partial(work, *pair) for pair in zip(chosen, TARGETS)],
+    lanes.run([functools.partial(work, *piece) for piece in zip(chosen, TARGETS, by_severity)],
               1 if run.quick else 2)
     rows = []
-    for value, each in zip(sweep.values, chosen):
+    for value, each, of in zip(sweep.values, chosen, by_severity):
         truth = each.reference().mean.mean()
         for kind in ("uniform", "adaptive"):
-            found = [each.store.get(f"{kind}.{s}") for s in seeds]
+            found = of[kind]
             mean, error = mean_and_error([f["mean"] / truth - 1 for f in found])
             rows.append({"severity": value, "kind": kind, "seeds": len(found),
                          "spp": sum(f["spp"] for f in found) / len(found),

@@ -1,6 +1,7 @@
 """One regeneration of the charts: its settings, and what it will put into docs/ at the end."""
 
 import dataclasses
+import hashlib
 import os
 import pathlib
 import shutil
@@ -36,6 +37,12 @@ class Run:
 
     def bin(self, name: str) -> pathlib.Path:
         return self.build / "bin" / name
+
+    def digest(self, *names: str) -> str:
+        """Of those of the build's programs that are there: others give other results."""
+        files = [self.bin(name) for name in names if self.bin(name).is_file()]
+        text = " ".join(programs.digest_of(file) for file in files)
+        return hashlib.sha256(text.encode()).hexdigest()[:12]
 
     def has_oidn(self) -> bool:
         return self.oidn is not None

@@ -245,7 +245,8 @@ def draw(rows: list[dict], path: pathlib.Path) -> None:
 def make(run) -> None:
     """Errors: RuntimeError if farms of different sizes gave different pictures."""
     folder, quick = run.work / "scale", run.quick
-    store = Store(folder / f"work-{run.version.split()[-1]}")
+    measured = run.digest("tessera", "tessera-server", "tessera-worker", "simulated_scale")
+    store = Store(folder / f"work-{measured}")
     rows = measure_growth(run.tessera, folder / "scenes", store, quick)
     plain = failures.write(failures.plain(), folder / "scenes" / "plain.glb")
     rows += measure_workers(run.tessera, run.build / "bin", plain, store, quick)

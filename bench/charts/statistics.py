@@ -25,7 +25,7 @@ LEAST_SHOWN = 1e-16
 
 def measure(run) -> pathlib.Path:
     """stability.csv, measured or taken up."""
-    store = Store(run.work / "statistics" / run.version.split()[-1])
+    store = Store(run.work / "statistics" / run.digest("statistics_stability"))
     if store.get("done") is None:
         text = programs.run([str(run.bin("statistics_stability")),
                              "10000" if run.quick else "1000000000"]).stdout

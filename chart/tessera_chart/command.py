@@ -127,7 +127,8 @@ def make_plan(args: argparse.Namespace) -> ladder.Plan:
     if args.jobs > 1 and not threads:
         threads = max(1, os.cpu_count() // args.jobs)
     return ladder.Plan(tessera, chosen, spp, list(range(1, args.seeds + 1)), args.size,
-                       reference_spp, references, threads, network, args.oidn_weights, args.frame)
+                       reference_spp, references, threads, network, args.oidn_weights, args.frame,
+                       jobs=args.jobs)
 
 
 def view_flags(args: argparse.Namespace) -> list[str]:
@@ -192,6 +193,8 @@ def title_of(name: str, size: str, frame: str | None) -> str:
 def write_all(ladders: list[ladder.Ladder], plan: ladder.Plan, folder: pathlib.Path) -> list[str]:
     """Writes everything from what is finished; returns the sentences."""
     rows = [row for each in ladders for row in each.points()]
+    for line in (line for each in ladders for line in each.left_out):
+        print(f"tessera chart: {line}", file=sys.stderr)
     finished = [each for each in ladders if any(r["scene"] == each.view.name for r in rows)]
     version = plan.tessera.version()
     settings = {"version": version, "size": plan.size, "frame": plan.frame, "spp": plan.spp, "seeds": plan.seeds,

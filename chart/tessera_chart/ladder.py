@@ -7,6 +7,7 @@ import collections
 import dataclasses
 import hashlib
 import math
+import os
 import pathlib
 import threading
 from typing import Callable
@@ -36,6 +37,13 @@ class Plan:
     oidn_weights: pathlib.Path | None = None
     frame: str | None = None  # times and bytes are said for a frame of this size
     is_timed: bool = True  # else CPU times are not to be used: what only they need is not run
+    jobs: int = 1  # views side by side
+
+    def timing_text(self) -> str:
+        """Another one for other times; of work that nobody times always the same."""
+        if not self.is_timed:
+            return "not timed"
+        return f"{self.threads or os.cpu_count()} threads, {self.jobs} jobs"
 
     def reference_text(self) -> str:
         """Another one for other references: errors against them are other errors."""
@@ -117,10 +125,12 @@ class Ladder:
 
     def __init__(self, plan: Plan, view: View, work: pathlib.Path):
         self.plan, self.view = plan, view
-        version = plan.tessera.version()
-        measured = view.digest(plan.size, f"{version}, {plan.reference_text()}")
+        program = plan.tessera.identity()
+        measured = view.digest(
+            plan.size, ", ".join((program, plan.reference_text(), plan.timing_text())))
         self.store = Store(work / f"{view.name}-{measured}")
-        self.shared = Store(work / f"reference-{view.picture_digest(plan.size, version)}")
+        self.shared = Store(work / f"reference-{view.picture_digest(plan.size, program)}")
+        self.left_out: list[str] = []  # by the last points(): what is missing, and why
         self._reference: measures.Reference | None = None
 
     # Work.
@@ -193,11 +203,34 @@ class Ladder:
                 "--layers", "final", "-o", self.shared.path(key + ".exr"))
             self.shared.put(key, figures)
 
+    # Keys of results: each names all that decides the result and that the store's folder does not.
+
+    def key(self, method: str, seed: int, spp: int) -> str:
+        name = method
+        if method in oidn.WEIGHTS:
+            name += "-" + oidn.identity(self.plan.oidn, self.plan.oidn_weights, method)
+        elif method == methods.CYCLES:
+            name += "-" + peers_of.identity(self.view)
+        elif method == methods.ADAPTIVE:
+            return f"{seed}.{spp}-{self._adaptive_spp_max(spp)}.{name}"
+        return f"{seed}.{spp}.{name}"
+
+    @staticmethod
+    def _step_key(seed: int, spp: int, before: int) -> str:
+        """Of the samples between two counts; their sum's film is the same whatever the steps."""
+        return f"{seed}.{before}-{spp}.render"
+
+    def _nothing_key(self, seed: int) -> str:
+        return f"{seed}.{self.plan.spp[0]}.nothing"
+
+    def _adaptive_spp_max(self, spp: int) -> int:
+        return self.plan.spp[-1] if len(self.plan.spp) > 1 else 4 * spp
+
     def _film(self, seed: int, spp: int) -> pathlib.Path:
         return self.store.path(f"{seed}.{spp}.film.exr")
 
     def _render_step(self, seed: int, spp: int, before: int) -> None:
-        key = f"{seed}.{spp}.render"
+        key = self._step_key(seed, spp, before)
         if self.store.get(key) and self._film(seed, spp).is_file():
             return
         taken_up = ["--continue", self._film(seed, before)] if before else []
@@ -209,27 +242,27 @@ class Ladder:
 
     def _render_nothing(self, seed: int) -> None:
         """What a process costs that takes up a film, adds no sample and writes it."""
-        if self.store.get(f"{seed}.nothing"):
+        if self.store.get(self._nothing_key(seed)):
             return
         spp = self.plan.spp[0]
         _, cpu_s = self.plan.tessera.run(
             "render", *self._render_flags(spp, seed), "--continue", self._film(seed, spp),
             "--denoiser", "none", "--layers", "film", "-o", self.store.path("nothing.exr"))
         self.store.path("nothing.exr").unlink()
-        self.store.put(f"{seed}.nothing", {"process_cpu_s": cpu_s})
+        self.store.put(self._nothing_key(seed), {"process_cpu_s": cpu_s})
 
     def _measured(self, picture: pathlib.Path, reference: measures.Reference) -> dict:
         return dataclasses.asdict(reference.errors(measures.read_rgb(picture)))
 
     def _measure_raw(self, method: methods.Method, seed: int, spp: int) -> None:
         """The film's own colour is the raw picture."""
-        key = f"{seed}.{spp}.{method.name}"
+        key = self.key(method.name, seed, spp)
         if not self.store.get(key):
             self.store.put(key, {"filter_s": 0.0, "filter_cpu_s": 0.0,
                                  **self._measured(self._film(seed, spp), self.reference())})
 
     def _measure_filter(self, method: methods.Method, seed: int, spp: int) -> None:
-        key = f"{seed}.{spp}.{method.name}"
+        key = self.key(method.name, seed, spp)
         if self.store.get(key):
             return
         options, tried = None, 0
@@ -269,7 +302,7 @@ class Ladder:
         return found["options"], found["tried"]
 
     def _measure_oidn(self, method: methods.Method, seed: int, spp: int) -> None:
-        key = f"{seed}.{spp}.{method.name}"
+        key = self.key(method.name, seed, spp)
         if self.store.get(key):
             return
         picture = self.picture(method.name, seed, spp)
@@ -282,17 +315,16 @@ class Ladder:
 
     def _measure_adaptive(self, method: methods.Method, seed: int, spp: int) -> None:
         """Sampling by --target-error, the target being what the same samples everywhere reached."""
-        key = f"{seed}.{spp}.{method.name}"
+        key = self.key(method.name, seed, spp)
         if self.store.get(key):
             return
-        uniform = self.store.get(f"{self.plan.seeds[0]}.{spp}.regression")
+        uniform = self._uniform(self.plan.seeds[0], spp)
         if uniform is None or uniform["rel_mse"] <= 0:
-            return
+            return  # points() says so
         target = max(uniform["rel_mse"] ** 0.5, 1e-4)
-        most = self.plan.spp[-1] if len(self.plan.spp) > 1 else 4 * spp
         picture = self.picture(method.name, seed, spp)
         figures, cpu_s = self.plan.tessera.run(
-            "render", *self._render_flags(most, seed), "--target-error",
+            "render", *self._render_flags(self._adaptive_spp_max(spp), seed), "--target-error",
             f"{target:.6g}", "--layers", "final", "-o", picture)
         seconds = figures["seconds"]
         self.store.put(key, {"own_spp": figures["spp"], "target": target,
@@ -303,7 +335,7 @@ class Ladder:
                              **self._measured(picture, self.reference())})
 
     def _measure_cycles(self, method: methods.Method, seed: int, spp: int) -> None:
-        key = f"{seed}.{spp}.{method.name}"
+        key = self.key(method.name, seed, spp)
         if self.store.get(key):
             return
         cycles = peers_of.Cycles(self.plan, self.view, self.store)
@@ -325,14 +357,16 @@ class Ladder:
         """The EXR; kept for the first seed."""
         if method == methods.RAW:
             return self._film(seed, spp)
-        return self.store.path(f"{seed}.{spp}.{method}.exr")
+        return self.store.path(self.key(method, seed, spp) + ".exr")
 
     def points(self) -> list[dict]:
-        """All that is finished, one row a method, sample count and seed."""
+        """All that is finished, one row a method, sample count and seed; fills `left_out`."""
         rows = []
+        self.left_out = []
         for seed in self.plan.seeds:
-            steps = [self.store.get(f"{seed}.{spp}.render") for spp in self.plan.spp]
-            nothing_s = (self.store.get(f"{seed}.nothing") or {}).get("process_cpu_s")
+            steps = [self.store.get(self._step_key(seed, spp, before))
+                     for before, spp in zip([0, *self.plan.spp], self.plan.spp)]
+            nothing_s = (self.store.get(self._nothing_key(seed)) or {}).get("process_cpu_s")
             if None in steps or (nothing_s is None and self.plan.is_timed):
                 continue
             costs = _Costs(self.plan, self._pixels(), steps, nothing_s)
@@ -340,16 +374,35 @@ class Ladder:
                 shared = {"scene": self.view.name, "seed": seed, "spp": spp, "own_spp": spp,
                           **costs.of_step(at)}
                 for method in self.plan.methods:
-                    found = self.store.get(f"{seed}.{spp}.{method.name}")
+                    found = self.store.get(self.key(method.name, seed, spp))
+                    if method.name == methods.ADAPTIVE and self._is_measured(method, seed, spp):
+                        why = self._why_not_adaptive(seed, spp, found is not None)
+                        if why:
+                            self.left_out.append(f"{self.view.name}: adaptive at {spp} spp, seed "
+                                                 f"{seed}, is left out: {why}")
+                            continue
                     if found is not None:
                         rows.append(self._row(method.name, shared, found, costs))
         return rows
 
+    def _uniform(self, seed: int, spp: int) -> dict | None:
+        """What adaptive sampling is held against."""
+        return self.store.get(self.key("regression", seed, spp))
+
+    def _why_not_adaptive(self, seed: int, spp: int, is_there: bool) -> str:
+        """Empty if there is a target and the cost of one filtering, or if nothing is there yet."""
+        first, own = self._uniform(self.plan.seeds[0], spp), self._uniform(seed, spp)
+        if first is not None and first["rel_mse"] <= 0:
+            return "regression's error, its target, is within the references' noise"
+        if is_there and None in (first, own):
+            return "there is no result of regression, its target; run the same command again"
+        return ""
+
     def _row(self, method: str, shared: dict, found: dict, costs: _Costs) -> dict:
         row = {"method": method, "filter_s": 0.0, "filter_cpu_s": 0.0, **shared, **found}
         if method == methods.CYCLES:
-            row.update(peers_of.proportional_times(self.plan, self.store, row), bytes=None)
+            row.update(peers_of.proportional_times(self, row), bytes=None)
         elif method == methods.ADAPTIVE and self.plan.is_timed:
-            once = self.store.get(f"{row['seed']}.{row['spp']}.regression")["filter_cpu_s"]
+            once = self._uniform(row["seed"], row["spp"])["filter_cpu_s"]
             row["render_cpu_s"] = costs.of_adaptive(row, once)
         return costs.scaled(row)

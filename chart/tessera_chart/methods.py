@@ -75,7 +75,8 @@ def choose(text: str | None, denoisers: list[dict], oidn: bool) -> list[Method]:
     for name in (OIDN, OIDN_HQ):
         if by_name[name] in chosen and not oidn:
             raise BadInput(f"--methods {name}: needs --oidn PROGRAM and --oidn-weights FOLDER")
-    return chosen
+    # Its target is a filter's error, whatever the order in which they were named.
+    return sorted(chosen, key=lambda m: m.name == ADAPTIVE)
 
 
 def search(method: Method, error_of) -> tuple[dict[str, float], int]:

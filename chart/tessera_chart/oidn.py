@@ -4,6 +4,7 @@ Base filters colour with the film's albedo and normal; hq filters those first, e
 network, and then colour by the large one.
 """
 
+import hashlib
 import pathlib
 import re
 
@@ -23,6 +24,13 @@ def check(folder: pathlib.Path) -> None:
         for name in names:
             if not (folder / f"{name}.tza").is_file():
                 raise BadInput(f"--oidn-weights {folder}: has no {name}.tza")
+
+
+def identity(program: str, weights: pathlib.Path, method: str) -> str:
+    """Another one for another program or other weights of `method`. Errors: OSError."""
+    files = [program, *(weights / f"{name}.tza" for name in WEIGHTS[method])]
+    digests = " ".join(programs.digest_of(file) for file in files)
+    return hashlib.sha256(digests.encode()).hexdigest()[:12]
 
 
 def _split(layers: pathlib.Path, beside: pathlib.Path) -> list[pathlib.Path]:

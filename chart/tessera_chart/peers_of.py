@@ -1,10 +1,12 @@
 """Blender's Cycles on a view of ours, by the peers of bench/. Its materials are others than ours, so
 it is measured against two references of its own."""
 
+import functools
+import hashlib
 import pathlib
 import time
 
-from tessera_chart import measures
+from tessera_chart import measures, methods, programs
 from tessera_chart.errors import BadInput
 
 REFERENCE_SEEDS = (1001, 1002)
@@ -37,12 +39,27 @@ def _plain(file: pathlib.Path) -> pathlib.Path:
     return plain if plain.is_file() else file
 
 
+@functools.lru_cache(maxsize=None)
+def _blender() -> str:
+    """Its version, and what it is told to do."""
+    from peers import renderers
+    script = pathlib.Path(renderers.__file__).with_name("cycles.py")
+    return programs.run(["blender", "--version"]).stdout + programs.digest_of(script)
+
+
+def identity(view) -> str:
+    """Another one for another Blender or another file of the view. Errors: BadInput."""
+    text = _blender() + programs.digest_of(_plain(view.file))
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
 class Cycles:
     """Its pictures of one view."""
 
     def __init__(self, plan, view, store):
         from peers import renderers, views
         self._renderer, self._store, self._plan = renderers.Cycles(), store, plan
+        self._identity = identity(view)
         self._scene = _plain(view.file).resolve()
         numbers = lambda flag: tuple(map(float, view.flag(flag).split(","))) if view.flag(flag) else None
         env, sky = view.flag("--env"), numbers("--sky")
@@ -69,19 +86,22 @@ class Cycles:
         """Of its own, rendered where it is not there yet."""
         spp = self._plan.reference_spp
         for seed in REFERENCE_SEEDS:
-            key = f"reference.{spp}.{seed}.cycles"
+            key = self._reference_key(seed)
             if self._store.get(key) is None:
                 out, cpu_s, _ = self.render(spp, seed)
                 out.rename(self._store.path(key + ".exr"))
                 self._store.put(key, {"process_cpu_s": cpu_s})
-        paths = [self._store.path(f"reference.{spp}.{s}.cycles.exr") for s in REFERENCE_SEEDS]
+        paths = [self._store.path(self._reference_key(s) + ".exr") for s in REFERENCE_SEEDS]
         return measures.Reference(*map(measures.read_rgb, paths))
 
+    def _reference_key(self, seed: int) -> str:
+        return f"reference.{self._plan.reference_spp}.{seed}.cycles-{self._identity}"
 
-def proportional_times(plan, store, row: dict) -> dict:
+
+def proportional_times(ladder, row: dict) -> dict:
     """Render times in proportion to samples, by the difference of the longest and shortest run."""
-    few, many = plan.spp[0], plan.spp[-1]
-    ends = [store.get(f"{row['seed']}.{n}.cycles") for n in (few, many)]
+    few, many = ladder.plan.spp[0], ladder.plan.spp[-1]
+    ends = [ladder.store.get(ladder.key(methods.CYCLES, row["seed"], n)) for n in (few, many)]
     times = {}
     for ours, theirs in (("render_s", "process_s"), ("render_cpu_s", "process_cpu_s")):
         if None in ends or few == many:

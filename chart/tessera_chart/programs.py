@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import hashlib
 import json
 import os
 import pathlib
@@ -84,6 +85,18 @@ def run(command: list[str], variables: dict[str, str] | None = None) -> Outcome:
     return Outcome(text, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024)
 
 
+def digest_of(file: str | pathlib.Path) -> str:
+    """Of a file's content; read again only when its time or size has changed. Errors: OSError."""
+    status = os.stat(file)
+    return _digest_at(os.path.realpath(file), status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=None)
+def _digest_at(path: str, _mtime_ns: int, _size: int) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 class Tessera:
     """The program tessera."""
 
@@ -108,6 +121,11 @@ class Tessera:
     @functools.lru_cache(maxsize=None)
     def version(self) -> str:
         return run([self.path, "--version"]).stdout.strip()
+
+    def identity(self) -> str:
+        """Another one for another program. The version alone does not cover all that is compiled
+        into it; behind an installed launcher, which is always the same file, it has to do."""
+        return f"{self.version()}, {digest_of(self.path)}"
 
     def denoisers(self) -> list[dict]:
         """The filters: name, halo_px by quality, options."""

@@ -9,7 +9,7 @@ import pathlib
 import numpy
 from matplotlib import colormaps, image
 
-from tessera_chart import measures
+from tessera_chart import measures, methods
 
 PICTURE_WIDTH_MAX = 640
 ERROR_SHOWN_MAX = 0.5  # relative error that is drawn in the brightest colour
@@ -40,9 +40,11 @@ def pictures_of(ladder) -> dict:
     for spp in ladder.plan.spp:
         found = {}
         for method in ladder.plan.methods:
-            path, result = ladder.picture(method.name, seed, spp), ladder.store.get(
-                f"{seed}.{spp}.{method.name}")
-            if result is None or not path.is_file() or method.name == "cycles":
+            if method.name == methods.CYCLES:
+                continue
+            path = ladder.picture(method.name, seed, spp)
+            result = ladder.store.get(ladder.key(method.name, seed, spp))
+            if result is None or not path.is_file():
                 continue
             picture = measures.read_rgb(path)
             found[method.name] = {

@@ -79,7 +79,7 @@ class Chart(unittest.TestCase):
         self.assertIn("goes on from here", done.stderr)
         before = {p: p.stat().st_mtime_ns for p in self.out.glob("work/*/*.json")}
         self.assertGreater(len(before), 0)
-        self.chart(*some)
+        self.chart(*some, program=stopping)
         self.assertEqual(self.methods(), {"raw", "bilateral"})
         for path, time in before.items():
             self.assertEqual(path.stat().st_mtime_ns, time, path)
