@@ -3,14 +3,16 @@
 second against Embree's tutorial path tracer.
 
     bench/compare_with_peers.py --build build/release --scenes FOLDER --out OUTPUT_FOLDER
-        [--views kitchen,bunny,...] [--size 192x108] [--references 512] [--embree]
+        [--views kitchen,bunny,...] [--size 192x108] [--references 512] [--embree] [--targets]
 
 Each renderer draws each view at several sample counts and is measured against the mean of two
 references of its own (materials differ), of other seeds; they are kept in OUTPUT_FOLDER and used
 again (delete tessera's when its picture has changed). Runs of the two alternate. "render" is CPU
 time in proportion to samples (user + system, from the difference of the longest and the shortest
-run), "total" is that of the whole process. Needs python3-numpy, python3-openimageio and, for the
-peers, blender and embree-tools (Debian packages).
+run), "total" is that of the whole process. --targets adds a table of what the path tracer is
+measured by, beside its targets: the two ratios, CPU time around Embree over that inside, loading,
+memory. Needs python3-numpy, python3-openimageio and, for the
+peers, blender and embree-tools (Debian packages); for the time around Embree linux-perf.
 """
 
 import argparse
@@ -19,7 +21,7 @@ import sys
 
 sys.dont_write_bytecode = True  # the source folder stays clean
 
-from peers import accuracy, renderers, views
+from peers import accuracy, own_figures, renderers, views
 
 PEER_SPP = 64  # whose error in Cycles is to be reached
 COUNTS = (16, 64, 256)
@@ -39,7 +41,11 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeat", action="store_true", help="render and time again all but the references")
     parser.add_argument("--embree", action="store_true", help="Embree's path tracer too")
-    return parser.parse_args()
+    parser.add_argument("--targets", action="store_true", help="the table of targets too; needs --scenes")
+    args = parser.parse_args()
+    if args.targets and args.scenes is None:
+        parser.error("--targets measures apartment.glb and others: give their folder by --scenes")
+    return args
 
 
 class Measurement:
@@ -84,13 +90,19 @@ class Measurement:
         return accuracy.samples_for_error(list(COUNTS), errors, wanted) * self.cpu_per_spp
 
 
+def ratios(ours: Measurement, peer: Measurement) -> tuple[float, float]:
+    """CPU time to the peer's error at PEER_SPP samples over the peer's: plain, trimmed."""
+    at = COUNTS.index(PEER_SPP)
+    return tuple(ours.cpu_to(own, theirs[at]) / (PEER_SPP * peer.cpu_per_spp)
+                 for own, theirs in ((ours.errors, peer.errors), (ours.trimmed, peer.trimmed)))
+
+
 def row(view, ours: Measurement, peer: Measurement | None, pixels: int) -> str:
     at = COUNTS.index(PEER_SPP)
     speed = pixels / ours.cpu_per_spp / 1e6
     if peer is None:
         return f"| {view.name} | {ours.errors[at]:.5f} | - | {speed:.2f} | - | {ours.slope:.2f} | - | - | - |"
-    plain = ours.cpu_to(ours.errors, peer.errors[at]) / (PEER_SPP * peer.cpu_per_spp)
-    trimmed = ours.cpu_to(ours.trimmed, peer.trimmed[at]) / (PEER_SPP * peer.cpu_per_spp)
+    plain, trimmed = ratios(ours, peer)
     total = (ours.cpu_to(ours.trimmed, peer.trimmed[at]) + ours.cpu_fixed) / (
         PEER_SPP * peer.cpu_per_spp + peer.cpu_fixed)
     return (f"| {view.name} | {ours.errors[at]:.5f} ({ours.trimmed[at]:.5f}) "
@@ -105,7 +117,9 @@ HEADER = f"""\
 |---|---|---|---|---|---|---|---|---|"""
 
 
-def compare(args, frame: renderers.Frame) -> None:
+def compare(args, frame: renderers.Frame) -> dict[str, tuple[float, float]]:
+    """Prints a row for each view; returns the ratios to Cycles, by view."""
+    found = {}
     has_cycles = renderers.Cycles.available()
     if not has_cycles:
         print("blender is not installed (apt-get install --no-install-recommends blender): "
@@ -126,30 +140,56 @@ def compare(args, frame: renderers.Frame) -> None:
         peer = pair[1] if len(pair) > 1 else None
         print(row(view, ours, peer, frame.width * frame.height), flush=True)
         if peer:
+            found[view.name] = ratios(ours, peer)
             print(f"{view.name}: mean brightness over Cycles' {ours.mean / peer.mean:.3f}",
                   file=sys.stderr)
+    return found
 
 
-def compare_with_embree(args) -> None:
+def compare_with_embree(args) -> float | None:
     theirs = renderers.embree_samples_per_cpu_second(args.out, args.threads)
     if theirs is None:
         print("Embree's pathtracer is not installed (apt-get install embree-tools)",
               file=sys.stderr)
-        return
+        return None
     ours = renderers.tessera_samples_per_cpu_second(
         args.build / "bin" / "path_tracer_bench", args.build / "scenes" / "cornell.glb",
         args.threads, args.out)
     print(f"\nCornell box, 512x512, 8 rays a path: {ours / 1e6:.2f} M samples per CPU second, "
           f"Embree's tutorial {theirs / 1e6:.2f}: ratio {ours / theirs:.2f}")
+    return ours / theirs
+
+
+def print_targets(args, beside_cycles: dict, beside_embree: float | None) -> None:
+    bench = args.build / "bin" / "path_tracer_bench"
+    kitchen, apartment = views.chosen("kitchen,apartment", args.scenes)
+    scene = args.scenes / kitchen.file
+    around = own_figures.outside_over_inside(bench, kitchen, scene, args.out)
+    milliseconds, attributes = own_figures.loading(bench, apartment, scene, args.out)
+    of_users = [name for name in beside_cycles
+                if not next(v for v in views.VIEWS if v.name == name).own]
+    cycles = ", ".join(f"{name} {beside_cycles[name][1]:.2f}" for name in of_users) or "not measured"
+    embree = "not measured" if beside_embree is None else f"{beside_embree:.2f}x"
+    middle = "not measured: perf is missing" if around is None else (
+        f"{around[len(around) // 2]:.2f}x ({around[0]:.2f} to {around[-1]:.2f})")
+    print("\n| what | measured | target |\n|---|---|---|\n"
+          f"| CPU time to equal trimmed relMSE against Cycles' at {PEER_SPP} spp | {cycles} "
+          "| at most 0.5x |\n"
+          f"| samples a CPU second against Embree's tutorial, Cornell box | {embree} "
+          "| at least 1.5x |\n"
+          f"| CPU time outside Embree against inside, kitchen | {middle} | at most 0.7x |\n"
+          f"| loading and building apartment.glb | {milliseconds:.0f} ms | under 300 ms |\n"
+          f"| memory above what Embree needs | {attributes:.0f} B a triangle | under 64 B |")
 
 
 def main() -> int:
     args = parse_arguments()
     width, height = map(int, args.size.split("x"))
     args.out.mkdir(parents=True, exist_ok=True)
-    compare(args, renderers.Frame(width, height, args.max_depth, args.threads))
-    if args.embree:
-        compare_with_embree(args)
+    beside_cycles = compare(args, renderers.Frame(width, height, args.max_depth, args.threads))
+    beside_embree = compare_with_embree(args) if args.embree or args.targets else None
+    if args.targets:
+        print_targets(args, beside_cycles, beside_embree)
     return 0
 
 
