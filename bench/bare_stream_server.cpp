@@ -16,7 +16,7 @@ namespace tessera {
 namespace {
 
 struct Plan {
-  int64_t num_leases = 0, num_tiles = 0;
+  int64_t num_leases = 0, num_tiles = 0, num_passes = 1;
   int tile_size = 0, ahead = 0;
   std::atomic<int64_t> handed_out = 0;
   std::atomic<int64_t> received = 0;
@@ -25,7 +25,7 @@ struct Plan {
 };
 
 v1::Lease LeaseOf(const Plan& plan, int64_t index) {
-  const int64_t pass = index / plan.num_tiles;
+  const int64_t pass = index / plan.num_tiles % plan.num_passes;
   v1::Lease lease;
   lease.set_id(static_cast<uint64_t>(index) + 1);
   lease.set_job("jobs/1");
@@ -104,10 +104,11 @@ class Service : public v1::WorkerService::CallbackService {
 }  // namespace
 
 void RunBareStreamServer(const std::string& port_file, int64_t num_leases, int64_t num_tiles,
-                         int tile_size, int ahead) {
+                         int64_t spp, int tile_size, int ahead) {
   Plan plan;
   plan.num_leases = num_leases;
   plan.num_tiles = num_tiles;
+  plan.num_passes = std::bit_width(static_cast<uint64_t>(spp)) - 1;
   plan.tile_size = tile_size;
   plan.ahead = ahead;
   Service service(&plan);

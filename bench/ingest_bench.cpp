@@ -108,7 +108,8 @@ Run RunBare(const char* program, const Options& options, int64_t num_leases, int
   const std::string port_file = directory.path() + "/ports";
   ChildProcess server({program, options.scene, "--bare-port-file", port_file, "--bare-leases",
                        std::to_string(num_leases), "--size",
-                       std::to_string(options.width) + "x" + std::to_string(options.height)},
+                       std::to_string(options.width) + "x" + std::to_string(options.height),
+                       "--spp", std::to_string(options.spp)},
                       directory.path() + "/bare.log");
   int port = 0;
   if (!Eventually([&] {
@@ -187,7 +188,7 @@ int main(int argc, char** argv) {
     const int64_t num_tiles =
         int64_t{options.width / tessera::kTileSize} * (options.height / tessera::kTileSize);
     tessera::RunBareStreamServer(options.bare_port_file, options.bare_leases, num_tiles,
-                                 tessera::kTileSize, options.ahead);
+                                 options.spp, tessera::kTileSize, options.ahead);
     return 0;
   }
   tessera::RunAll(argv[0], options);

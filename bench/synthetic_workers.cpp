@@ -2,6 +2,7 @@
 
 #include <grpcpp/client_context.h>
 
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <mutex>
@@ -14,6 +15,8 @@
 
 namespace tessera {
 namespace {
+
+constexpr std::chrono::milliseconds kHeartbeatInterval{400};
 
 int64_t KeyOf(SampleRange range) { return (range.begin << 32) + range.size(); }
 
@@ -118,10 +121,29 @@ class SyntheticWorker::Reactor
   }
   void WriteNext() {
     if (queue_.empty()) return;
-    outgoing_ = std::move(queue_.front());
-    queue_.pop_front();
+    const auto now = std::chrono::steady_clock::now();
+    if (now - last_heartbeat_ > kHeartbeatInterval) {
+      last_heartbeat_ = now;
+      outgoing_ = Heartbeat();
+    } else {
+      outgoing_ = std::move(queue_.front());
+      queue_.pop_front();
+    }
     is_writing_ = true;
     StartWrite(&outgoing_);
+  }
+
+  // Renews the leases whose deltas wait for the link.
+  v1::WorkerMessage Heartbeat() const {
+    v1::WorkerMessage message;
+    v1::Heartbeat& heartbeat = *message.mutable_heartbeat();
+    for (const v1::WorkerMessage& waiting : queue_) {
+      if (!waiting.has_delta()) continue;
+      v1::LeaseProgress& progress = *heartbeat.add_leases();
+      progress.set_id(waiting.delta().lease_id());
+      progress.set_state(v1::LeaseProgress::STATE_SENDING);
+    }
+    return message;
   }
 
   const DeltaStock& stock_;
@@ -132,6 +154,7 @@ class SyntheticWorker::Reactor
   std::condition_variable done_;
   v1::WorkerMessage outgoing_;           // guarded by mutex_, as all below
   std::deque<v1::WorkerMessage> queue_;  // at most as many as the coordinator leases at once
+  std::chrono::steady_clock::time_point last_heartbeat_ = std::chrono::steady_clock::now();
   bool is_writing_ = false;
   bool is_done_ = false;
 };
