@@ -120,6 +120,7 @@ CoordinatorTotals Coordinator::Totals() const {
   totals.workers = std::ssize(workers_);
   for (const auto& [session, worker] : workers_) totals.worker_threads += worker->hello.threads();
   totals.leases = std::ssize(leases_);
+  totals.banned_hosts = std::ssize(banned_);
   totals.film_bytes = film_bytes_;
   return totals;
 }

@@ -153,6 +153,8 @@ void Coordinator::On(HeartbeatEvent& event) {
     const auto it = leases_.find(progress.id());
     if (it == leases_.end() || it->second.session != event.session) continue;
     const bool has_moved = NoteProgress(progress, &it->second);
+    // Of before what is known, a later one has overtaken it: an old "waiting" would renew a render.
+    if (progress.state() != it->second.state) continue;
     switch (progress.state()) {
       case v1::LeaseProgress::STATE_WAITING:
         waiting.push_back(it->first);

@@ -28,6 +28,7 @@ struct CoordinatorTotals {
   int64_t worker_threads = 0;
   int64_t leases = 0;
   int64_t film_bytes = 0;
+  int64_t banned_hosts = 0;
 };
 
 }  // namespace tessera

@@ -114,6 +114,7 @@ std::string MetricsText(const CoordinatorHost& host) {
   out.Gauge("tessera_workers", "Workers that are connected", number(totals.workers));
   out.Gauge("tessera_worker_threads", "Their threads", number(totals.worker_threads));
   out.Gauge("tessera_leases", "Units of work under way", number(totals.leases));
+  out.Gauge("tessera_banned_hosts", "Hosts that returned wrong bits", number(totals.banned_hosts));
   out.Gauge("tessera_film_bytes", "Estimated memory of films", number(totals.film_bytes));
   out.Counter("tessera_leases_granted_total", "Units handed out", number(totals.leases_granted));
   out.Counter("tessera_leases_expired_total", "Units taken back from silent workers",

@@ -61,8 +61,13 @@ class SimServer::Run : public EffectSink {
   Instant Now() const { return {NowMs() + clock_offset_ms_, 1700000000000 + NowMs()}; }
   const CoordinatorHost& host() const { return host_; }
   JobRequests& requests() { return requests_; }
-  // Whether a worker was banned since the last call, and what it had touched was dropped.
-  bool FilmsReset() { return std::exchange(films_reset_, false); }
+  // Whether a host was banned since the last call, connected or not, and what it had touched was
+  // dropped.
+  bool FilmsReset() {
+    int64_t banned = 0;
+    host_.Read([&](const Coordinator& c) { banned = c.Totals().banned_hosts; });
+    return std::exchange(banned_hosts_, banned) != banned;
+  }
   uint64_t id() const { return id_; }
 
   CoordinatorConfig Config() const {
@@ -100,7 +105,6 @@ class SimServer::Run : public EffectSink {
   void On(const CloseSessionEffect& e) {
     server_.trace_(absl::StrCat("closes session ", e.session, ": ", e.status.ToString()));
     server_.network_->Close(e.session, e.status);
-    films_reset_ = films_reset_ || absl::IsPermissionDenied(e.status);
   }
   void On(const JobChangedEffect& e) { changed_.insert(e.job); }
   void On(const TileChangedEffect&) {}
@@ -131,7 +135,7 @@ class SimServer::Run : public EffectSink {
   const int64_t clock_offset_ms_;
   bool alive_ = true;
   Instant last_step_;
-  bool films_reset_ = false;
+  int64_t banned_hosts_ = 0;
   bool saving_ = false;
   bool save_due_ = false;
   std::set<JobId> changed_;

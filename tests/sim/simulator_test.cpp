@@ -96,6 +96,9 @@ TEST(Regressions, Hold) {
   // A job cancelled before its first pass showed samples that it had dropped (Cancel).
   ExpectHolds(22);
   ExpectHolds(980);
+  // A heartbeat that a later one had overtaken renewed a lease whose render hung (NoteProgress).
+  ExpectHolds(723);
+  ExpectHolds(6251);
   // A suspect that is audited went back, for ever, to a host that had rendered it (GrantSuspects).
   ExpectHolds(1149);
 }
