@@ -99,6 +99,8 @@ TEST(Regressions, Hold) {
   // A heartbeat that a later one had overtaken renewed a lease whose render hung (NoteProgress).
   ExpectHolds(723);
   ExpectHolds(6251);
+  // A suspect that is audited too went back for ever to a host that had rendered it (Hear).
+  ExpectHolds(1149);
   // A suspect that is audited went back, for ever, to a host that had rendered it (GrantSuspects).
   ExpectHolds(1149);
 }
