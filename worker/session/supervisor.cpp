@@ -75,7 +75,11 @@ class Supervisor {
         if (WIFEXITED(status) && WEXITSTATUS(status) != kExitOutOfMemory) {
           return WEXITSTATUS(status);
         }
-        if (!Judge(child, status)) EndLike(WTERMSIG(status));
+        if (!Judge(child, status)) {
+          // Told to stop once, before it listened: it held nothing.
+          if (num_stops_ == 1) return 0;
+          EndLike(WTERMSIG(status));
+        }
         if (stopping_) return 1;
         if (std::chrono::steady_clock::now() - begin >= kHealthyRun) backoff_.Reset();
       }
@@ -105,6 +109,7 @@ class Supervisor {
       if (waitpid(child, &status, WNOHANG) == child) return status;
       if (signal == SIGTERM || signal == SIGINT || signal == SIGHUP) {
         stopping_ = stopping_ || signal != SIGHUP;
+        if (signal != SIGHUP) ++num_stops_;
         kill(child, signal);
       } else if (signal < 0) {
         // The count of two looks ago: a kill of just now is still to be seen as one.
@@ -185,6 +190,7 @@ class Supervisor {
   Backoff backoff_;
   std::vector<v1::CrashReport> crashes_;
   bool stopping_ = false;
+  int num_stops_ = 0;  // signals to stop that were passed on
   int64_t kills_before_ = 0, kills_now_ = 0;
 };
 
