@@ -10,7 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "bench/farm_under_test.h"
 #include "core/film/delta_codec.h"
-#include "server/coordinator/job_settings.h"
+#include "server/coordinator/worker_message.h"
 #include "worker/integrator/arithmetic.h"
 
 namespace tessera {
@@ -18,7 +18,7 @@ namespace {
 
 constexpr std::chrono::milliseconds kHeartbeatInterval{400};
 
-int64_t KeyOf(SampleRange range) { return (range.begin << 32) + range.size(); }
+int64_t StockKeyOf(SampleRange range) { return (range.begin << 32) + range.size(); }
 
 }  // namespace
 
@@ -33,14 +33,15 @@ DeltaStock::DeltaStock(const PathTracer& tracer, const PixelRect& window, int64_
       const auto tile = tracer.Render(window, range, nullptr, &counters);
       if (!tile.ok()) Die(tile.status().ToString());
       EncodedDelta encoded = EncodeDelta(*tile, DeltaEncoding::kPackedZstd);
-      entries_[KeyOf(range)] = {std::move(encoded.payload), encoded.payload_bytes, counters.rays};
+      entries_[StockKeyOf(range)] = {std::move(encoded.payload), encoded.payload_bytes,
+                                     counters.rays};
     }
   }
 }
 
 v1::TileDelta DeltaStock::Answer(const v1::Lease& lease) const {
   const SampleRange range{lease.sample_begin(), lease.sample_end()};
-  const auto found = entries_.find(KeyOf(range));
+  const auto found = entries_.find(StockKeyOf(range));
   if (found == entries_.end()) Die("a lease of a range that the stock does not have");
   const Entry& entry = found->second;
   v1::TileDelta delta;
@@ -55,14 +56,7 @@ v1::TileDelta DeltaStock::Answer(const v1::Lease& lease) const {
   delta.set_payload_bytes(entry.payload_bytes);
   delta.set_rays(entry.rays);
   delta.set_feature_end(feature_end_);
-  delta.set_checksum(DeltaChecksum({.lease_id = lease.id(),
-                                    .job = delta.job(),
-                                    .tile_index = lease.tile_index(),
-                                    .window = RectOf(lease.window()),
-                                    .range = range,
-                                    .feature_end = feature_end_,
-                                    .rays = entry.rays},
-                                   delta.payload()));
+  delta.set_checksum(DeltaChecksum(KeyOf(delta), delta.payload()));
   return delta;
 }
 

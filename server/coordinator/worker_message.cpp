@@ -10,16 +10,6 @@
 namespace tessera {
 namespace {
 
-DeltaKey KeyOf(const v1::TileDelta& delta) {
-  return {.lease_id = delta.lease_id(),
-          .job = delta.job(),
-          .tile_index = delta.tile_index(),
-          .window = RectOf(delta.window()),
-          .range = {delta.sample_begin(), delta.sample_end()},
-          .feature_end = delta.feature_end(),
-          .rays = delta.rays()};
-}
-
 absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool with_digest) {
   const v1::Region& window = delta.window();
   const SampleRange range{delta.sample_begin(), delta.sample_end()};
@@ -48,6 +38,16 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool 
 }
 
 }  // namespace
+
+DeltaKey KeyOf(const v1::TileDelta& delta) {
+  return {.lease_id = delta.lease_id(),
+          .job = delta.job(),
+          .tile_index = delta.tile_index(),
+          .window = RectOf(delta.window()),
+          .range = {delta.sample_begin(), delta.sample_end()},
+          .feature_end = delta.feature_end(),
+          .rays = delta.rays()};
+}
 
 Sha256Digest TestimonyOf(const TileStatistics& tile) {
   return Sha256Of(EncodeDelta(tile, DeltaEncoding::kPacked).payload);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "absl/status/statusor.h"
+#include "core/film/delta_codec.h"
 #include "server/coordinator/event.h"
 #include "tessera/v1/worker.pb.h"
 
@@ -13,6 +14,9 @@ namespace tessera {
 // with_digests: deltas come with DeltaEvent.digest, which takes time.
 absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message,
                               bool with_digests = false);
+
+// What the checksum of a delta binds its payload to. Valid as long as `delta`.
+DeltaKey KeyOf(const v1::TileDelta& delta);
 
 // What an audit compares: the SHA-256 of every bit of the statistics.
 Sha256Digest TestimonyOf(const TileStatistics& tile);

@@ -36,17 +36,6 @@ void Append(const v1::WorkerMessage& message, std::string* out) {
   out->append(bytes);
 }
 
-uint64_t RightChecksum(const v1::TileDelta& delta) {
-  return DeltaChecksum({.lease_id = delta.lease_id(),
-                        .job = delta.job(),
-                        .tile_index = delta.tile_index(),
-                        .window = RectOf(delta.window()),
-                        .range = {delta.sample_begin(), delta.sample_end()},
-                        .feature_end = delta.feature_end(),
-                        .rays = delta.rays()},
-                       delta.payload());
-}
-
 v1::JobSettings Settings() {
   v1::JobSettings settings = SmallSettings(4);
   settings.set_tile_size(16);
@@ -61,7 +50,8 @@ bool Converse(SimulatedFarm& farm, SessionId session, std::string_view input) {
     // The service opens a session with Hello and takes no other.
     if ((i == 0) != message->has_hello()) return false;
     if (message->has_delta()) {
-      message->mutable_delta()->set_checksum(RightChecksum(message->delta()));
+      v1::TileDelta& delta = *message->mutable_delta();
+      delta.set_checksum(DeltaChecksum(KeyOf(delta), delta.payload()));
     }
     absl::StatusOr<Event> event = EventOf(session, *message, true);
     if (!event.ok() || !farm.Post(*std::move(event)).status.ok()) return false;

@@ -7,6 +7,7 @@
 #include "core/base/sha256.h"
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
+#include "server/coordinator/worker_message.h"
 #include "tests/server/synthetic_tile.h"
 #include "tests/sim/fault_plan.h"
 
@@ -60,14 +61,7 @@ v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
   delta.set_payload(encoded.payload);
   delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
   delta.set_payload_bytes(encoded.payload_bytes);
-  delta.set_checksum(DeltaChecksum({.lease_id = lease.id(),
-                                    .job = lease.job(),
-                                    .tile_index = lease.tile_index(),
-                                    .window = window,
-                                    .range = range,
-                                    .feature_end = feature_end,
-                                    .rays = delta.rays()},
-                                   encoded.payload));
+  delta.set_checksum(DeltaChecksum(KeyOf(delta), delta.payload()));
   return delta;
 }
 
