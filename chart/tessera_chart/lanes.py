@@ -45,8 +45,7 @@ def run(work: Iterable[Callable[[], None]], num_lanes: int) -> None:
         for end in ended:
             started.append(end)
             threading.Thread(target=lane, args=(end,)).start()
-        for end in ended:
-            end.wait()
+        _wait(ended)
     except KeyboardInterrupt:
         waiting.clear()
         _stop_and_wait(started)
@@ -62,8 +61,14 @@ def _stop_and_wait(ended: list[threading.Event]) -> None:
     while True:
         try:
             programs.stop()
-            for end in ended:
-                end.wait()
+            _wait(ended)
             return
         except KeyboardInterrupt:
             continue
+
+
+def _wait(ended: list[threading.Event]) -> None:
+    """Waits for all; looks up now and then, for a signal may reach another thread than this."""
+    for end in ended:
+        while not end.wait(timeout=1):
+            pass

@@ -1,6 +1,7 @@
 """Work side by side: errors and Ctrl-C end everything, children with it."""
 
 import pathlib
+import signal
 import tempfile
 import threading
 import unittest
@@ -30,6 +31,9 @@ class Lanes(unittest.TestCase):
         self.assertEqual(done, [])
 
     def test_ctrl_c_ends_the_children_of_all_lanes(self):
+        # Not inherited: a build service may start its tests with SIGINT ignored.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        self.addCleanup(signal.signal, signal.SIGINT, before)
         with tempfile.TemporaryDirectory() as folder:
             # The second to come sends Ctrl-C, and both would stay for ever.
             script = pathlib.Path(folder) / "stay"

@@ -84,19 +84,27 @@ class CommandLineCase(unittest.TestCase):
 
 
 class Farm:
-    """A server and workers on loopback, at ports of the system's choice."""
+    """A server and connected workers on loopback, at ports of the system's choice."""
 
     def __init__(self, case, num_workers=1, server_flags=(), worker_flags=()):
         self.server = self._start(case, [SERVER, "--listen", "127.0.0.1:0", "--http", "",
                                          *server_flags])
-        line = ""
-        while "grpc_port=" not in line:
-            line = self.server.stderr.readline()
-            case.assertNotEqual(line, "", "the server ended")
-        self.address = "127.0.0.1:" + re.search(r"grpc_port=(\d+)", line).group(1)
+        listening = self._wait_for(case, self.server, r"grpc_port=(\d+)")
+        self.address = "127.0.0.1:" + listening.group(1)
         self.workers = [self._start(case, [WORKER, "--server", self.address, "--threads", "1",
                                            *worker_flags])
                         for _ in range(num_workers)]
+        for worker in self.workers:
+            self._wait_for(case, worker, "connected as")
+
+    @staticmethod
+    def _wait_for(case, process, pattern):
+        """Reads the log up to the line with `pattern`; returns the match."""
+        while True:
+            line = process.stderr.readline()
+            case.assertNotEqual(line, "", "the program ended")
+            if match := re.search(pattern, line):
+                return match
 
     @staticmethod
     def _start(case, command):
