@@ -70,6 +70,8 @@ absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message, boo
       return SceneFailureEvent{session, std::move(*message.mutable_scene_failure())};
     case v1::WorkerMessage::kDrain:
       return DrainEvent{session};
+    case v1::WorkerMessage::kFiltered:
+      return absl::InvalidArgumentError("filtered: no window was leased to this worker");
     case v1::WorkerMessage::MESSAGE_NOT_SET:
       break;
   }

@@ -126,6 +126,10 @@ void SessionMachine::On(session_event::Received& event) {
     case v1::CoordinatorMessage::kForget:
       ForgetJob(message.forget().job());
       break;
+    case v1::CoordinatorMessage::kFilter:
+      Decline(message.filter().id(), v1::DeclineLease::REASON_UNSPECIFIED,
+              "this worker filters nothing");
+      break;
     case v1::CoordinatorMessage::MESSAGE_NOT_SET:
       break;  // of a newer protocol
   }
