@@ -127,8 +127,9 @@ absl::StatusOr<int64_t> AssetStore::Append(const Sha256Digest& digest, int64_t s
   if (absl::Status status = MakeRoom(chunk_bytes - skip, digest); !status.ok()) return status;
   absl::Status status =
       Write(digest, upload, chunk.data() + skip, static_cast<size_t>(chunk_bytes - skip));
+  if (!status.ok()) return status;
   const int64_t received_bytes = upload.received_bytes;
-  if (status.ok() && received_bytes == size_bytes) status = Complete(digest, upload);
+  if (received_bytes == size_bytes) status = Complete(digest, upload);
   if (!status.ok()) {
     DropUpload(digest);
     return status;
@@ -151,7 +152,6 @@ absl::Status AssetStore::Write(const Sha256Digest& digest, Upload& upload, const
       }
     }
   }
-  upload.hash->Update(std::string_view(data, size));
   if (dir_.empty()) {
     upload.content.append(data, size);
   } else {
@@ -159,10 +159,14 @@ absl::Status AssetStore::Write(const Sha256Digest& digest, Upload& upload, const
     file.write(data, static_cast<std::streamsize>(size));
     file.close();
     if (!file) {
+      const int cause = errno;
+      std::error_code ignored;  // what has come before stays: the upload resumes
+      fs::resize_file(path, static_cast<std::uintmax_t>(upload.received_bytes), ignored);
       return absl::ResourceExhaustedError(absl::StrCat("cannot write ", path, ": ",
-                                                       std::strerror(errno), "; free some space"));
+                                                       std::strerror(cause), "; free some space"));
     }
   }
+  upload.hash->Update(std::string_view(data, size));
   upload.received_bytes += static_cast<int64_t>(size);
   bytes_ += static_cast<int64_t>(size);
   return absl::OkStatus();
