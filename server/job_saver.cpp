@@ -4,6 +4,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
 #include "server/log.h"
 
 namespace tessera {
@@ -39,6 +40,14 @@ void JobSaver::Save(JobId job, bool with_film) {
 void JobSaver::Remove(JobId job) {
   std::lock_guard lock(mu_);
   pending_[job] = {.remove = true};
+  wake_.notify_all();
+}
+
+void JobSaver::SaveBan(const std::string& host, const std::string& reason) {
+  if (catalogue_ == nullptr) return;
+  std::lock_guard lock(mu_);
+  bans_.push_back({host, reason});
+  pending_[kBans];
   wake_.notify_all();
 }
 
@@ -128,6 +137,7 @@ absl::StatusOr<JobSaver::Snapshot> JobSaver::Read(JobId job) const {
     if (!record.ok()) return record.status();
     snapshot.record = *std::move(record);
     snapshot.request_id = c.RequestIdOf(job);
+    snapshot.suspects = c.SuspectsOf(job).SerializeAsString();
     snapshot.film = c.FilmOf(job);
     return absl::OkStatus();
   });
@@ -142,7 +152,8 @@ absl::Status JobSaver::WriteRecord(JobId job, const Snapshot& snapshot) {
   const auto last = recorded_.find(job);
   if (!exists || (last != recorded_.end() && last->second > state)) return absl::OkStatus();
   absl::Status status =
-      catalogue_->Put({job, snapshot.request_id, snapshot.record.SerializeAsString()});
+      catalogue_->Put({job, snapshot.request_id, snapshot.record.SerializeAsString(),
+                       snapshot.suspects});
   if (status.ok()) recorded_[job] = state;
   return status;
 }
@@ -154,37 +165,84 @@ absl::Status JobSaver::RemoveRow(JobId job) {
 }
 
 absl::Status JobSaver::WriteFilm(JobId job, const Film& film) {
-  return films_->Save(job, film.grid().num_tiles(), [&](int64_t tile) {
+  const auto tile_of = [&](int64_t tile) {
     return host_->Read([&](const Coordinator& c) {
       return FilmStorage::Tile{film.Nodes(tile), c.CostOf(job, tile)};
     });
-  });
+  };
+  const int64_t resets_before =
+      host_->Read([&](const Coordinator& c) { return c.ResetsOf(job); });
+  const auto contributions = [&]() -> std::optional<std::string> {
+    v1::Contributions who;
+    const bool is_whole = host_->Read([&](const Coordinator& c) {
+      who = c.ContributionsOf(job);
+      return c.ResetsOf(job) == resets_before;
+    });
+    if (!is_whole) return std::nullopt;
+    return who.SerializeAsString();
+  };
+  return films_->Save(job, film.grid().num_tiles(), tile_of, contributions);
 }
 
-void JobSaver::Write(JobId job, Request request) {
+absl::Status JobSaver::WriteJob(JobId job, const Request& request) {
   absl::Status status;
   if (request.remove) {
     // The row first: a row without its film would be a job that has lost its samples.
     if (catalogue_ != nullptr) status = RemoveRow(job);
     if (status.ok() && films_ != nullptr) films_->Remove(job);
     if (status.ok()) assets_->Release(job);
-  } else {
-    const absl::StatusOr<Snapshot> snapshot = Read(job);
-    if (!snapshot.ok()) return;
-    // The film first, and the record as it was before that: see the class.
-    const bool with_film = request.film && snapshot->film != nullptr;
-    if (with_film) status = WriteFilm(job, *snapshot->film);
-    if (status.ok()) status = WriteRecord(job, *snapshot);
-    if (status.ok() && with_film) {
-      // While samples come or go, what is stored may be of several moments.
-      const bool is_final =
-          HasEnded(snapshot->record) || snapshot->record.state() == v1::JOB_STATE_FINISHING;
-      host_->Post(FilmStoredEvent{job, is_final});
-    }
+    return status;
   }
+  const absl::StatusOr<Snapshot> snapshot = Read(job);
+  if (!snapshot.ok()) return absl::OkStatus();  // it is gone
+  // The film first, and the record as it was before that: see the class.
+  const bool with_film = request.film && snapshot->film != nullptr;
+  if (with_film) status = WriteFilm(job, *snapshot->film);
+  if (status.ok()) status = WriteRecord(job, *snapshot);
+  if (status.ok() && with_film) {
+    // While samples come or go, what is stored may be of several moments.
+    const bool is_final =
+        HasEnded(snapshot->record) || snapshot->record.state() == v1::JOB_STATE_FINISHING;
+    host_->Post(FilmStoredEvent{job, is_final});
+  }
+  return status;
+}
+
+absl::Status JobSaver::WriteBans() {
+  while (true) {
+    BanRow ban;
+    {
+      std::lock_guard lock(mu_);
+      if (bans_.empty()) return absl::OkStatus();
+      ban = bans_.front();
+    }
+    if (absl::Status status = catalogue_->PutBan(ban); !status.ok()) return status;
+    std::lock_guard lock(mu_);
+    bans_.erase(bans_.begin());
+  }
+}
+
+void JobSaver::NoteDisk(JobId job, const absl::Status& status) {
+  const bool was_full = !full_.empty();
+  if (absl::IsResourceExhausted(status)) {
+    full_.insert(job);
+  } else {
+    full_.erase(job);
+  }
+  if (full_.empty() == !was_full) return;
+  ServerLog().warn("{}", full_.empty() ? "the disk has room again: jobs go on"
+                                       : "the disk is full: no more is rendered until it has room");
+  host_->Post(DiskEvent{full_.empty() ? "" : std::string(status.message())});
+}
+
+void JobSaver::Write(JobId job, Request request) {
+  const absl::Status status = job == kBans ? WriteBans() : WriteJob(job, request);
+  NoteDisk(job, status);
+  // Whoever took samples out of the film has asked for it to be written again.
+  if (absl::IsAborted(status)) return;
   if (status.ok()) return;
   std::lock_guard lock(mu_);
-  ServerLog().error("job={} is not saved{}: {}", job,
+  ServerLog().error("job={} is not saved{}: {}", job == kBans ? "bans" : absl::StrCat(job),
                     stopping_ ? "" : ", which is tried again in 5 s",
                     std::string(status.message()));
   if (stopping_) return;

@@ -7,8 +7,10 @@
 #include <functional>
 #include <map>
 #include <mutex>
+#include <set>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "server/coordinator_host.h"
@@ -32,6 +34,7 @@ class JobSaver {
   // Effects; never block. Nothing is written before Start or WriteDue.
   void Save(JobId job, bool with_film);
   void Remove(JobId job);
+  void SaveBan(const std::string& host, const std::string& reason);
 
   // With a thread that writes, or for a caller that does so himself, by WriteDue.
   void Start(CoordinatorHost* host);
@@ -56,9 +59,11 @@ class JobSaver {
   struct Snapshot {
     v1::Job record;
     std::string request_id;
+    std::string suspects;
     std::shared_ptr<const Film> film;  // null when it is on disk only
   };
   using Pending = std::map<JobId, Request>;
+  static constexpr JobId kBans = 0;  // no job's: in Pending, that bans are to be written
 
   void Run();
   Pending::iterator NextLocked();  // what is due first
@@ -66,6 +71,10 @@ class JobSaver {
   bool Next(JobId* job, Request* request);
   // Writes, and asks for it again later if that fails.
   void Write(JobId job, Request request);
+  absl::Status WriteJob(JobId job, const Request& request);
+  absl::Status WriteBans();
+  // Tells the coordinator when the disk is full, and when it has room again.
+  void NoteDisk(JobId job, const absl::Status& status);
   absl::Status WriteFilm(JobId job, const Film& film);
   absl::StatusOr<Snapshot> Read(JobId job) const;
   // Writes the record unless a later one is written, or the job is gone.
@@ -82,9 +91,12 @@ class JobSaver {
   // Of the row that was written last: its revision's counter, and whether it says that all is over.
   std::map<JobId, std::pair<uint64_t, bool>> recorded_;
 
+  std::set<JobId> full_;  // what found no room; of the thread that writes
+
   std::mutex mu_;  // guards all below
   std::condition_variable wake_;
   Pending pending_;
+  std::vector<BanRow> bans_;  // to be written
   bool stopping_ = false;
   std::thread thread_;
 };

@@ -20,7 +20,7 @@ enum ExitCode { kDone = 0, kBug = 1, kBadInput = 2, kUnavailable = 3 };
 
 int ExitCodeOf(const absl::Status& status) {
   if (absl::IsInvalidArgument(status) || absl::IsPermissionDenied(status) ||
-      absl::IsNotFound(status)) {
+      absl::IsNotFound(status) || absl::IsFailedPrecondition(status)) {
     return kBadInput;
   }
   return absl::IsUnavailable(status) || absl::IsResourceExhausted(status) ? kUnavailable : kBug;
@@ -61,6 +61,8 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
                  "Share of the work that is rendered on two hosts and compared; 1 = all of it")
       ->check(CLI::Range(0.0, 1.0))
       ->capture_default_str();
+  app.add_flag("--forget-bans", service.forget_bans,
+               "Lets hosts work again that were banned by audits of earlier runs");
   app.add_option("--tile-size", service.tile_size, "Of jobs that name none")->capture_default_str();
   app.add_option("--filter-threads", service.filter_threads, "That denoise; 0 = all cores")
       ->capture_default_str();

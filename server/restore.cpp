@@ -37,6 +37,7 @@ void LoadFilm(JobId id, const FilmStorage& films, RestoreJobEvent* event) {
   if (stored.ok()) {
     event->film = std::move(stored->film);
     event->costs = std::move(stored->costs);
+    event->contributions.ParseFromString(stored->contributions);
     return;
   }
   if (absl::IsNotFound(stored.status()) && samples == 0) return;
@@ -48,6 +49,12 @@ void LoadFilm(JobId id, const FilmStorage& films, RestoreJobEvent* event) {
 
 absl::Status RestoreJobs(RowStorage& catalogue, const FilmStorage& films, AssetStore& assets,
                          const SettingsDefaults& defaults, CoordinatorHost& host) {
+  const absl::StatusOr<std::vector<BanRow>> bans = catalogue.ReadBans();
+  if (!bans.ok()) return bans.status();
+  for (const BanRow& ban : *bans) {
+    ServerLog().warn("host={} is banned: {}", ban.host, ban.reason);
+    host.Post(RestoreBanEvent{ban.host});
+  }
   absl::StatusOr<std::vector<CatalogueRow>> rows = catalogue.ReadAll();
   if (!rows.ok()) return rows.status();
   std::set<uint64_t> jobs;
@@ -67,6 +74,7 @@ absl::Status RestoreJobs(RowStorage& catalogue, const FilmStorage& films, AssetS
     const absl::Status present = assets.Reference(row.job, digests);
     if (!HasEnded(event.job)) {
       LoadFilm(row.job, films, &event);
+      event.suspects.ParseFromString(row.suspects);  // what cannot be read is found out again
       if (!present.ok()) {
         event.failure = "files of the scene are lost from the server's data folder: submit it anew";
       }

@@ -104,6 +104,7 @@ class Service::Impl : public EffectSink {
   void On(const JobChangedEffect& e) { watchers_->Notify(e.job); }
   void On(const TileChangedEffect& e) { pictures_->TileChanged(e.job, e.tile); }
   void On(const SaveJobEffect& e) { saver_->Save(e.job, e.with_film); }
+  void On(const BanEffect& e) { saver_->SaveBan(e.host, e.reason); }
   void On(const RemoveJobEffect& e) {
     saver_->Remove(e.job);
     pictures_->Remove(e.job);
@@ -148,6 +149,9 @@ absl::Status Service::Impl::OpenStore(const ServiceOptions& options) {
     auto films = FilmStore::Open(data_dir_->Path("films"));
     if (!films.ok()) return films.status();
     films_ = *std::move(films);
+    if (options.forget_bans) {
+      if (absl::Status status = catalogue_->ForgetBans(); !status.ok()) return status;
+    }
     const absl::StatusOr<uint64_t> incarnation = catalogue_->NextIncarnation();
     if (!incarnation.ok()) return incarnation.status();
     config_.incarnation = *incarnation;

@@ -23,6 +23,7 @@ struct ServiceOptions {
   int tile_size = 32;              // default of jobs that name none
   std::chrono::milliseconds lease_ttl{2000};
   double audit_rate = 0;           // of all units, rendered on two hosts and compared
+  bool forget_bans = false;        // that earlier runs on the data folder have pronounced
   bool insecure = false;           // plaintext on other than loopback addresses
   TlsFiles tls{};                  // of the gRPC and the HTTP port
   std::string token_file{};        // empty = no tokens are asked for; see Access::Open

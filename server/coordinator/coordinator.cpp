@@ -51,7 +51,8 @@ void Coordinator::On(TickEvent& event) {
   for (auto& [session, worker] : workers_) {
     std::erase_if(worker->retry_assets_ms,
                   [this](const auto& retry) { return retry.second <= now_.monotonic_ms; });
-    if (worker->leases.empty() && !worker->reserved && !IsSilent(*worker)) Race(*worker);
+    if (!worker->leases.empty() || worker->reserved || IsSilent(*worker)) continue;
+    if (!IsDiskFull()) Race(*worker);
   }
   waiting_changed_ = true;
 }

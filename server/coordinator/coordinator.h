@@ -86,6 +86,14 @@ class Coordinator {
   JobId JobOfRequest(const std::string& request_id) const;
   // The request_id that created the job; empty if there was none.
   std::string RequestIdOf(JobId job) const;
+  // What has to survive a restart of what is known of the job's units and of who rendered them.
+  v1::Suspects SuspectsOf(JobId job) const;
+  v1::Contributions ContributionsOf(JobId job) const;
+  // How often samples were taken out of the job's film, since the server was started.
+  int64_t ResetsOf(JobId job) const;
+  bool IsBanned(const std::string& host) const { return banned_.contains(host); }
+  // Whether nothing is handed out, as nothing could be kept.
+  bool IsDiskFull() const { return !disk_full_.empty(); }
 
  private:
   struct Job;
@@ -110,6 +118,8 @@ class Coordinator {
   void On(JobCommandEvent& event);
   void On(LookEvent& event);
   void On(RestoreJobEvent& event);
+  void On(RestoreBanEvent& event);
+  void On(DiskEvent& event);
   void On(FilmStoredEvent& event);
   void On(WorkerConnectedEvent& event);
   void On(WorkerGoneEvent& event);
@@ -168,6 +178,10 @@ class Coordinator {
                      const v1::CrashReport& report);
   void Convict(Job& job, const Unit& unit, const std::string& host, const v1::CrashReport& report);
   void GrantSuspects();
+  void RestoreSuspects(Job& job, const v1::Suspects& suspects);
+  void RestoreContributions(Job& job, const v1::Contributions& contributions);
+  bool DropTouched(Job& job, const std::string& host);
+  bool WasSuspect(Job& job, const Unit& unit);
   Worker* WorkerForSuspect(const Job& job, const std::set<std::string>& crash_hosts,
                            const std::set<std::string>& heard_hosts);
   std::optional<Unit> AuditFor(Job& job, const Worker& worker);
@@ -221,6 +235,7 @@ class Coordinator {
   std::map<LeaseId, Lease> leases_;
   std::set<JobId> suspicious_;        // jobs with suspects
   std::set<std::string> banned_;      // hosts that returned wrong bits
+  std::string disk_full_;             // why nothing can be kept; empty = it can
   std::set<std::pair<int64_t, LeaseId>> expiries_;  // (expires_ms, lease)
   std::map<std::string, RequestRecord> requests_;
   std::deque<std::string> request_order_;  // oldest first

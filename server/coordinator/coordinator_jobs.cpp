@@ -196,6 +196,8 @@ void Coordinator::On(RestoreJobEvent& event) {
   if (std::ssize(event.costs) == added.grid.num_tiles()) added.costs = std::move(event.costs);
   for (const TileCost& cost : added.costs) AddCost(cost, &progress);
   if (!event.failure.empty()) return Fail(added, event.failure);
+  RestoreContributions(added, event.contributions);
+  RestoreSuspects(added, event.suspects);
   GoOn(added);
 }
 
@@ -237,6 +239,8 @@ bool Coordinator::StartOver(Job& job) {
   }
   if (job.film->CommittedEnd() >= s.spp()) return true;
   job.film = std::make_shared<Film>(job.grid);
+  job.rendered_by.clear();
+  job.past_suspects.clear();
   CountFilm(job);
   job.costs.clear();
   job.spent_ms = 0;
@@ -451,8 +455,9 @@ void Coordinator::SetState(Job& job, v1::JobState state) {
   if (state == v1::JOB_STATE_RUNNING && !job.record.has_start_time()) {
     SetTime(now_.unix_ms, job.record.mutable_start_time());
   }
-  if (job.IsTerminal() && !job.record.has_end_time()) {
-    SetTime(now_.unix_ms, job.record.mutable_end_time());
+  if (job.IsTerminal()) {
+    if (!job.record.has_end_time()) SetTime(now_.unix_ms, job.record.mutable_end_time());
+    job.rendered_by.clear();
   }
   const std::pair<int, JobId> place{-job.record.settings().priority(), job.id};
   if (job.IsOpen()) {

@@ -101,7 +101,7 @@ void Coordinator::On(WorkerConnectedEvent& event) {
   if (banned_.contains(event.hello.host())) {
     status = absl::PermissionDeniedError(absl::StrCat(
         event.hello.host(), " returned wrong bits and is banned: check its memory, its processor "
-        "and its build; it is refused until the server is started again"));
+        "and its build; it is refused until the server is started with --forget-bans"));
   }
   if (!status.ok()) {
     CloseWorker(event.session, status);
@@ -254,7 +254,7 @@ void Coordinator::CountFilm(Job& job) {
 }
 
 void Coordinator::GrantAll() {
-  if (order_.empty()) return;
+  if (order_.empty() || IsDiskFull()) return;
   GrantSuspects();
   for (const bool stalled : {false, true}) {
     while (GrantRound(stalled)) {
@@ -488,6 +488,10 @@ void Coordinator::UpdateWaitingOf(Job& job) {
 
 std::string Coordinator::WaitingReason(const Job& job) const {
   if (!job.leases_of_unit.empty() || job.evaluating) return "";
+  if (IsDiskFull()) {
+    return absl::StrCat("the server's disk is full, and what was rendered could not be kept: free "
+                        "some space or delete jobs, it goes on by itself; ", disk_full_);
+  }
   if (workers_.empty()) {
     return "no worker is connected: start tessera-worker with this server's address";
   }

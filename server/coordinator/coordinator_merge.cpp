@@ -111,7 +111,7 @@ void Coordinator::On(DeltaEvent& event) {
   for (const std::string& liar : liars) {
     Ban(liar, absl::StrCat(liar, " returned other bits than two other hosts for ", JobName(*id),
                            " tile ", unit.tile, ": check its memory, its processor and its build; "
-                           "it is refused until the server is started again"));
+                           "it is refused until the server is started with --forget-bans"));
   }
   if (!liars.empty() && !job->audits.contains(unit)) {
     result_.status = absl::AbortedError("the tile starts over");
@@ -172,7 +172,10 @@ std::optional<Unit> Coordinator::TakeUnit(Job& job, int64_t size_max) {
     while (!IsCovered(*job.film, *unit) && HoldsPartOf(*job.film, *unit)) {
       unit = job.queue->Cut(*unit);
     }
-    if (!IsCovered(*job.film, *unit)) return unit;
+    if (!IsCovered(*job.film, *unit)) {
+      if (WasSuspect(job, *unit)) continue;
+      return unit;
+    }
     const bool pass_committed = job.queue->Complete(*unit);
     UpdateProgress(job);
     Touch(job);

@@ -68,9 +68,12 @@ struct Coordinator::Job {
   std::map<Unit, std::vector<Testimony>> audits;
   std::set<Unit> audits_waiting;  // those that nobody renders just now
   std::map<Unit, Suspect> suspects;
+  // Of earlier runs of the server, whose ranges may have been cut in another way.
+  std::map<Unit, Suspect> past_suspects;
   std::set<std::pair<std::string, int>> build_crashes;  // processes that its scene has crashed
   // With audits: what each host has added to the film, until the job closes.
   std::map<std::string, std::vector<Unit>> rendered_by;
+  int64_t resets = 0;  // that have taken samples out of the film
   bool holds_film = false;  // its film counts into film_bytes_
   // The most memory of a worker that declined for want of it: none with as little is asked again.
   int64_t memory_short_bytes = -1;

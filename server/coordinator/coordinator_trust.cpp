@@ -92,6 +92,7 @@ std::optional<Unit> Coordinator::AuditFor(Job& job, const Worker& worker) {
 void Coordinator::Ban(const std::string& host, const std::string& reason) {
   if (banned_.size() >= kBannedHostsMax) return;
   banned_.insert(host);
+  result_.effects.emplace_back(BanEffect{host, reason});
   std::vector<SessionId> sessions;
   for (const auto& [session, worker] : workers_) {
     if (worker->hello.host() == host) sessions.push_back(session);
@@ -106,17 +107,18 @@ void Coordinator::Ban(const std::string& host, const std::string& reason) {
   }
 }
 
-// Whole tiles start over: their samples cannot be told apart any more. A job that has decided by
-// its picture's error starts over as a whole, as the decisions rested on that picture.
-void Coordinator::ResetTouched(Job& job, const std::string& host) {
+// Takes what the host has touched out of the film. Whole tiles start over: their samples cannot be
+// told apart any more. A job that has decided by its picture's error starts over as a whole, as the
+// decisions rested on that picture. Returns whether there was anything.
+bool Coordinator::DropTouched(Job& job, const std::string& host) {
   const auto touched = job.rendered_by.find(host);
-  if (touched == job.rendered_by.end()) return;
+  if (touched == job.rendered_by.end()) return false;
   std::set<int64_t> tiles;
   for (const Unit& unit : touched->second) tiles.insert(unit.tile);
   if (job.record.settings().target_error() > 0) {
     for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) tiles.insert(tile);
   }
-  StopWork(job);
+  ++job.resets;
   for (const int64_t tile : tiles) {
     job.film->ResetTile(tile);
     if (!job.costs.empty()) job.costs[static_cast<size_t>(tile)] = {};
@@ -132,6 +134,13 @@ void Coordinator::ResetTouched(Job& job, const std::string& host) {
   progress.set_render_core_seconds(0);
   for (const TileCost& cost : job.costs) AddCost(cost, &progress);
   CountFilm(job);
+  return true;
+}
+
+void Coordinator::ResetTouched(Job& job, const std::string& host) {
+  if (!job.rendered_by.contains(host)) return;
+  StopWork(job);
+  DropTouched(job, host);
   job.audits.clear();
   job.audits_waiting.clear();
   job.suspects.clear();
@@ -148,6 +157,7 @@ void Coordinator::OnCrash(const std::string& host, const v1::CrashReport& report
     const absl::StatusOr<JobId> id = ParseJobName(named.job());
     const auto job = id.ok() ? jobs_.find(*id) : jobs_.end();
     if (job == jobs_.end() || job->second->queue == nullptr) continue;
+    Save(*job->second, false);
     OnUnitCrashed(*job->second,
                   {named.tile_index(), {named.sample_begin(), named.sample_end()}}, host, report);
   }
@@ -155,6 +165,7 @@ void Coordinator::OnCrash(const std::string& host, const v1::CrashReport& report
   const auto job = built.ok() ? jobs_.find(*built) : jobs_.end();
   if (job == jobs_.end() || job->second->queue == nullptr) return;
   job->second->build_crashes.insert({host, report.process_id()});
+  Save(*job->second, false);
   if (job->second->build_crashes.size() < kBuildCrashesMax) return;
   Fail(*job->second,
        absl::StrCat("building the scene has crashed ", kBuildCrashesMax, " workers (the last one: ",
@@ -173,7 +184,7 @@ void Coordinator::OnUnitCrashed(Job& job, const Unit& unit, const std::string& h
   ++suspect.crashes_alone;
   if (suspect.is_half || (unit.range.size() == 1 && suspect.crashes_alone > kCrashesBeforeSplit)) {
     Convict(job, unit, host, report);
-  } else if (suspect.crashes_alone == kCrashesBeforeSplit && unit.range.size() > 1) {
+  } else if (suspect.crashes_alone >= kCrashesBeforeSplit && unit.range.size() > 1) {
     DropLeasesOf(job, unit);
     Suspect half = std::move(suspect);
     half.is_half = true;
@@ -251,14 +262,132 @@ void Coordinator::GrantSuspects() {
   for (auto& [session, worker] : workers_) worker->is_alone = worker->reserved = false;
 }
 
-// No sample is wanted any more: nothing is to be blamed on anybody either.
+// No sample is wanted any more: nothing is to be blamed on units either. Who has rendered what is
+// kept until the job has ended.
 void Coordinator::CloseQueue(Job& job) {
   job.queue.reset();
   job.audits.clear();
   job.audits_waiting.clear();
   job.suspects.clear();
+  job.past_suspects.clear();
   job.build_crashes.clear();
-  job.rendered_by.clear();
+}
+
+void Coordinator::On(RestoreBanEvent& event) {
+  if (banned_.size() < kBannedHostsMax) banned_.insert(event.host);
+}
+
+void Coordinator::On(DiskEvent& event) {
+  disk_full_ = CutText(event.full, kErrorBytesMax);
+  waiting_changed_ = true;
+}
+
+v1::Suspects Coordinator::SuspectsOf(JobId id) const {
+  v1::Suspects out;
+  const auto job = jobs_.find(id);
+  if (job == jobs_.end()) return out;
+  std::map<Unit, Suspect> all = job->second->suspects;
+  all.insert(job->second->past_suspects.begin(), job->second->past_suspects.end());
+  for (const auto& [unit, suspect] : all) {
+    v1::SuspectUnit& to = *out.add_units();
+    to.set_tile(unit.tile);
+    to.set_sample_begin(unit.range.begin);
+    to.set_sample_end(unit.range.end);
+    to.set_crashes_alone(suspect.crashes_alone);
+    to.set_is_half(suspect.is_half);
+    for (const auto& [host, process] : suspect.processes) {
+      v1::SuspectUnit::Process& one = *to.add_processes();
+      one.set_host(host);
+      one.set_process_id(process);
+    }
+  }
+  for (const auto& [host, process] : job->second->build_crashes) {
+    v1::SuspectUnit::Process& one = *out.add_build_crashes();
+    one.set_host(host);
+    one.set_process_id(process);
+  }
+  return out;
+}
+
+int64_t Coordinator::ResetsOf(JobId id) const {
+  const auto job = jobs_.find(id);
+  return job == jobs_.end() ? 0 : job->second->resets;
+}
+
+v1::Contributions Coordinator::ContributionsOf(JobId id) const {
+  v1::Contributions out;
+  const auto job = jobs_.find(id);
+  if (job == jobs_.end()) return out;
+  for (const auto& [host, units] : job->second->rendered_by) {
+    v1::Contribution& to = *out.add_hosts();
+    to.set_host(host);
+    for (const Unit& unit : units) {
+      to.add_tiles(unit.tile);
+      to.add_sample_begins(unit.range.begin);
+      to.add_sample_ends(unit.range.end);
+    }
+  }
+  return out;
+}
+
+// Who is in the film of before a restart. What hosts have added that are banned starts over.
+void Coordinator::RestoreContributions(Job& job, const v1::Contributions& contributions) {
+  for (const v1::Contribution& from : contributions.hosts()) {
+    const int count = std::min({from.tiles_size(), from.sample_begins_size(),
+                                from.sample_ends_size()});
+    for (int i = 0; i < count; ++i) {
+      if (from.tiles(i) < 0 || from.tiles(i) >= job.grid.num_tiles()) continue;
+      job.rendered_by[from.host()].push_back(
+          {from.tiles(i), {from.sample_begins(i), from.sample_ends(i)}});
+    }
+  }
+  bool any = false;
+  for (const std::string& host : banned_) any = DropTouched(job, host) || any;
+  if (any) Save(job, true);
+}
+
+void Coordinator::RestoreSuspects(Job& job, const v1::Suspects& suspects) {
+  for (const v1::SuspectUnit& from : suspects.units()) {
+    const Unit unit{from.tile(), {from.sample_begin(), from.sample_end()}};
+    if (unit.range.size() < 1) continue;
+    Suspect& suspect = job.past_suspects[unit];
+    suspect.crashes_alone = from.crashes_alone();
+    suspect.is_half = from.is_half();
+    for (const auto& process : from.processes()) {
+      suspect.processes.insert({process.host(), process.process_id()});
+      suspect.hosts.insert(process.host());
+    }
+  }
+  for (const auto& process : suspects.build_crashes()) {
+    job.build_crashes.insert({process.host(), process.process_id()});
+  }
+}
+
+// Whether an earlier run of the server has suspected the unit, or one that shares samples with it:
+// then it is one again, and no longer the queue's.
+bool Coordinator::WasSuspect(Job& job, const Unit& unit) {
+  bool was = false;
+  Suspect joined;
+  for (auto it = job.past_suspects.begin(); it != job.past_suspects.end();) {
+    const auto& [past, suspect] = *it;
+    if (past.tile != unit.tile || past.range.end <= unit.range.begin ||
+        past.range.begin >= unit.range.end) {
+      ++it;
+      continue;
+    }
+    was = true;
+    joined.crashes_alone = std::max(joined.crashes_alone, suspect.crashes_alone);
+    joined.is_half = joined.is_half || (suspect.is_half && past.range.size() >= unit.range.size());
+    joined.hosts.insert(suspect.hosts.begin(), suspect.hosts.end());
+    joined.processes.insert(suspect.processes.begin(), suspect.processes.end());
+    const bool is_within =
+        unit.range.begin <= past.range.begin && past.range.end <= unit.range.end;
+    it = is_within ? job.past_suspects.erase(it) : std::next(it);
+  }
+  if (!was) return false;
+  job.suspects[unit] = std::move(joined);
+  suspicious_.insert(job.id);
+  return true;
 }
 
 // Whether a unit that nobody renders any more stays out of the queue, for the rules above.

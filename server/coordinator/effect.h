@@ -33,6 +33,11 @@ struct SaveJobEffect {
   JobId job = 0;
   bool with_film = false;
 };
+// The host's ban must survive a restart.
+struct BanEffect {
+  std::string host;
+  std::string reason;
+};
 struct RemoveJobEffect {
   JobId job = 0;
 };
@@ -47,7 +52,7 @@ struct FinishJobEffect {
 };
 
 using Effect = std::variant<SendEffect, CloseSessionEffect, JobChangedEffect, TileChangedEffect,
-                            SaveJobEffect, RemoveJobEffect, EvaluatePictureEffect,
+                            SaveJobEffect, BanEffect, RemoveJobEffect, EvaluatePictureEffect,
                             FinishJobEffect>;
 
 // What one step led to.

@@ -13,6 +13,7 @@
 #include "core/film/tile_statistics.h"
 #include "server/coordinator/tile_cost.h"
 #include "tessera/v1/job.pb.h"
+#include "tessera/v1/trust.pb.h"
 #include "tessera/v1/worker.pb.h"
 
 namespace tessera {
@@ -55,7 +56,17 @@ struct RestoreJobEvent {
   std::string request_id;
   std::shared_ptr<Film> film{};    // not needed for a job that has ended
   std::vector<TileCost> costs{};   // of the film, by tile; empty = unknown
+  v1::Suspects suspects{};            // as Coordinator::SuspectsOf gave them
+  v1::Contributions contributions{};  // to the film, as Coordinator::ContributionsOf gave them
   std::string failure{};           // why a job that has not ended cannot go on; empty = it can
+};
+// Start of the server: a host that an earlier run has banned.
+struct RestoreBanEvent {
+  std::string host;
+};
+// The disk has no room for what is to be kept, or has room again.
+struct DiskEvent {
+  std::string full{};  // why; empty = there is room
 };
 // The film was written to disk.
 struct FilmStoredEvent {
@@ -118,7 +129,8 @@ struct TickEvent {
 };
 
 using Event =
-    std::variant<CreateJobEvent, JobCommandEvent, LookEvent, RestoreJobEvent, FilmStoredEvent,
+    std::variant<CreateJobEvent, JobCommandEvent, LookEvent, RestoreJobEvent, RestoreBanEvent,
+                 DiskEvent, FilmStoredEvent,
                  WorkerConnectedEvent, WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
                  SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent,
                  TickEvent>;

@@ -2,6 +2,8 @@
 
 #include <sqlite3.h>
 
+#include <cerrno>
+
 #include "absl/strings/str_cat.h"
 
 namespace tessera {
@@ -14,6 +16,15 @@ constexpr char kSchema[] =
     "CREATE TABLE IF NOT EXISTS jobs (job INTEGER PRIMARY KEY, request_id TEXT NOT NULL,"
     "  record BLOB NOT NULL);"
     "CREATE TABLE IF NOT EXISTS counters (name TEXT PRIMARY KEY, value INTEGER NOT NULL);";
+
+// Of the file, in its user_version; 0 is that of the first files.
+constexpr int64_t kSchemaVersion = 2;
+constexpr char kToVersion2[] =
+    "BEGIN IMMEDIATE;"
+    "ALTER TABLE jobs ADD COLUMN suspects BLOB NOT NULL DEFAULT x'';"
+    "CREATE TABLE bans (host TEXT PRIMARY KEY, reason TEXT NOT NULL);"
+    "PRAGMA user_version = 2;"
+    "COMMIT;";
 
 // A prepared statement that is finalised when it goes.
 class Statement {
@@ -52,12 +63,36 @@ absl::StatusOr<std::unique_ptr<Catalogue>> Catalogue::Open(const std::string& pa
   std::unique_ptr<Catalogue> catalogue(new Catalogue(path));
   if (sqlite3_open(path.c_str(), &catalogue->db_) != SQLITE_OK) return catalogue->Error("open");
   if (absl::Status status = catalogue->Execute(kSchema); !status.ok()) return status;
+  if (absl::Status status = catalogue->Migrate(); !status.ok()) return status;
   return catalogue;
+}
+
+absl::Status Catalogue::Migrate() {
+  int64_t version = 0;
+  {
+    std::lock_guard lock(mu_);
+    Statement read(db_, "PRAGMA user_version");
+    if (!read.ok() || read.Step() != SQLITE_ROW) return Error("read");
+    version = read.Integer(0);
+  }
+  if (version > kSchemaVersion) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "the job catalogue ", path_, " is of version ", version, ", this server knows ",
+        kSchemaVersion, ": start the later tessera-server, or choose another --data-dir"));
+  }
+  return version < kSchemaVersion ? Execute(kToVersion2) : absl::OkStatus();
 }
 
 Catalogue::~Catalogue() { sqlite3_close(db_); }
 
 absl::Status Catalogue::Error(const char* what) const {
+  const int cause = sqlite3_system_errno(db_);
+  if (sqlite3_errcode(db_) == SQLITE_FULL || cause == ENOSPC || cause == EDQUOT ||
+      cause == EFBIG) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("cannot ", what, " the job catalogue ", path_, ": the disk is full; free "
+                     "some space"));
+  }
   return absl::InternalError(absl::StrCat("cannot ", what, " the job catalogue ", path_, ": ",
                                           sqlite3_errmsg(db_),
                                           "; check the disk, or choose another --data-dir"));
@@ -71,7 +106,8 @@ absl::Status Catalogue::Execute(const char* sql) {
 
 absl::Status Catalogue::Put(const CatalogueRow& row) {
   std::lock_guard lock(mu_);
-  Statement put(db_, "INSERT OR REPLACE INTO jobs VALUES (?1, ?2, ?3)");
+  Statement put(db_, "INSERT OR REPLACE INTO jobs (job, request_id, record, suspects) "
+                "VALUES (?1, ?2, ?3, ?4)");
   Statement last(db_,
                  "INSERT INTO counters VALUES ('last_job', ?1) ON CONFLICT (name) DO UPDATE SET "
                  "value = max(value, excluded.value)");
@@ -79,6 +115,7 @@ absl::Status Catalogue::Put(const CatalogueRow& row) {
   put.Bind(1, static_cast<int64_t>(row.job));
   put.BindText(2, row.request_id);
   put.BindBlob(3, row.record);
+  put.BindBlob(4, row.suspects);
   last.Bind(1, static_cast<int64_t>(row.job));
   if (sqlite3_exec(db_, "BEGIN IMMEDIATE", nullptr, nullptr, nullptr) == SQLITE_OK &&
       put.Step() == SQLITE_DONE && last.Step() == SQLITE_DONE &&
@@ -102,16 +139,39 @@ absl::Status Catalogue::Remove(uint64_t job) {
 
 absl::StatusOr<std::vector<CatalogueRow>> Catalogue::ReadAll() {
   std::lock_guard lock(mu_);
-  Statement read(db_, "SELECT job, request_id, record FROM jobs ORDER BY job");
+  Statement read(db_, "SELECT job, request_id, record, suspects FROM jobs ORDER BY job");
   if (!read.ok()) return Error("read");
   std::vector<CatalogueRow> rows;
   int result = SQLITE_ROW;
   while ((result = read.Step()) == SQLITE_ROW) {
-    rows.push_back({static_cast<uint64_t>(read.Integer(0)), read.Bytes(1), read.Bytes(2)});
+    rows.push_back({static_cast<uint64_t>(read.Integer(0)), read.Bytes(1), read.Bytes(2),
+                    read.Bytes(3)});
   }
   if (result != SQLITE_DONE) return Error("read");
   return rows;
 }
+
+absl::Status Catalogue::PutBan(const BanRow& ban) {
+  std::lock_guard lock(mu_);
+  Statement put(db_, "INSERT OR REPLACE INTO bans VALUES (?1, ?2)");
+  if (!put.ok()) return Error("write");
+  put.BindText(1, ban.host);
+  put.BindText(2, ban.reason);
+  return put.Step() == SQLITE_DONE ? absl::OkStatus() : Error("write");
+}
+
+absl::StatusOr<std::vector<BanRow>> Catalogue::ReadBans() {
+  std::lock_guard lock(mu_);
+  Statement read(db_, "SELECT host, reason FROM bans ORDER BY host");
+  if (!read.ok()) return Error("read");
+  std::vector<BanRow> bans;
+  int result = SQLITE_ROW;
+  while ((result = read.Step()) == SQLITE_ROW) bans.push_back({read.Bytes(0), read.Bytes(1)});
+  if (result != SQLITE_DONE) return Error("read");
+  return bans;
+}
+
+absl::Status Catalogue::ForgetBans() { return Execute("DELETE FROM bans"); }
 
 absl::StatusOr<uint64_t> Catalogue::NextIncarnation() {
   std::lock_guard lock(mu_);

@@ -18,13 +18,18 @@ namespace tessera {
 
 class Catalogue : public RowStorage {
  public:
-  // Opens or creates the file. Errors: INTERNAL naming the file and SQLite's reason.
+  // Opens or creates the file, and brings one of an earlier version up to this one's.
+  // Errors: INTERNAL naming the file and SQLite's reason; FAILED_PRECONDITION if a later version
+  // has written it.
   static absl::StatusOr<std::unique_ptr<Catalogue>> Open(const std::string& path);
   ~Catalogue() override;
 
   absl::Status Put(const CatalogueRow& row) override;
   absl::Status Remove(uint64_t job) override;
   absl::StatusOr<std::vector<CatalogueRow>> ReadAll() override;
+  absl::Status PutBan(const BanRow& ban) override;
+  absl::StatusOr<std::vector<BanRow>> ReadBans() override;
+  absl::Status ForgetBans();
   // Counts the runs of the server on this catalogue, starting with 1.
   absl::StatusOr<uint64_t> NextIncarnation();
   // The largest id that any job ever had; ids are not used twice.
@@ -33,6 +38,7 @@ class Catalogue : public RowStorage {
  private:
   explicit Catalogue(std::string path) : path_(std::move(path)) {}
   absl::Status Execute(const char* sql);
+  absl::Status Migrate();
   absl::Status Error(const char* what) const;
 
   const std::string path_;

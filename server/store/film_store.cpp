@@ -1,7 +1,8 @@
-// Grammar: file = "TESFILM2" tile* end sha256; tile = index (int64, ascending) rays delta_bytes
-// render_ns (int64) num_nodes (uint32) 0 (uint32) node*; node = begin end (int64) encoding (uint32)
-// size (uint32) payload; end = a tile of index -1 without nodes; sha256 = of all before it.
-// Tiles without nodes are left out. Little-endian.
+// Grammar: file = "TESFILM3" tile* end contributions sha256; tile = index (int64, ascending) rays
+// delta_bytes render_ns (int64) num_nodes (uint32) 0 (uint32) node*; node = begin end (int64)
+// encoding (uint32) size (uint32) payload; end = a tile of index -1 without nodes; contributions =
+// size (uint64) payload; sha256 = of all before it. Tiles without nodes are left out.
+// Little-endian. Files of "TESFILM2" have no contributions, and are read as well.
 #include "server/store/film_store.h"
 
 #include <fcntl.h>
@@ -24,7 +25,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr char kMagic[8] = {'T', 'E', 'S', 'F', 'I', 'L', 'M', '2'};
+constexpr char kMagic[8] = {'T', 'E', 'S', 'F', 'I', 'L', 'M', '3'};
+constexpr char kMagicBefore[8] = {'T', 'E', 'S', 'F', 'I', 'L', 'M', '2'};
+constexpr uint64_t kContributionBytesMax = uint64_t{1} << 30;
 constexpr char kEnding[] = ".film";
 constexpr char kTemporary[] = ".tmp-";  // OutputFile's
 constexpr uint32_t kPayloadBytesMax = 1 << 20;
@@ -88,11 +91,18 @@ bool ReadNode(HashedReader& file, const PixelRect& window, int64_t feature_end,
   return true;
 }
 
+bool ReadContributions(HashedReader& file, std::string* contributions) {
+  uint64_t size = 0;
+  if (!file.Read(&size, sizeof(size)) || size > kContributionBytesMax) return false;
+  contributions->resize(size);
+  return size == 0 || file.Read(contributions->data(), size);
+}
+
 bool ReadFilm(HashedReader& file, const TileGrid& grid, int64_t feature_end, StoredFilm* stored) {
   char magic[sizeof(kMagic)];
-  if (!file.Read(magic, sizeof(magic)) || std::memcmp(magic, kMagic, sizeof(magic)) != 0) {
-    return false;
-  }
+  if (!file.Read(magic, sizeof(magic))) return false;
+  const bool is_new = std::memcmp(magic, kMagic, sizeof(magic)) == 0;
+  if (!is_new && std::memcmp(magic, kMagicBefore, sizeof(magic)) != 0) return false;
   stored->film = std::make_shared<Film>(grid, feature_end);
   stored->costs.resize(static_cast<size_t>(grid.num_tiles()));
   TileHeader header;
@@ -100,7 +110,9 @@ bool ReadFilm(HashedReader& file, const TileGrid& grid, int64_t feature_end, Sto
   TileStatistics node;
   int64_t last = -1;
   while (file.Read(&header, sizeof(header))) {
-    if (header.tile == -1) return file.EndsWithHash();
+    if (header.tile == -1) {
+      return (!is_new || ReadContributions(file, &stored->contributions)) && file.EndsWithHash();
+    }
     if (header.tile <= last || header.tile >= grid.num_tiles() || header.rays < 0 ||
         header.delta_bytes < 0 || header.render_ns < 0) {
       return false;
@@ -158,7 +170,8 @@ int64_t FilmStore::BytesOf(uint64_t job) const {
 
 std::string FilmStore::PathOf(uint64_t job) const { return absl::StrCat(dir_, "/", job, kEnding); }
 
-absl::Status FilmStore::Save(uint64_t job, int64_t num_tiles, const TileSource& source) const {
+absl::Status FilmStore::Save(uint64_t job, int64_t num_tiles, const TileSource& source,
+                             const ContributionSource& contributions) const {
   absl::StatusOr<OutputFile> file = OutputFile::Create(PathOf(job));
   if (!file.ok()) return file.status();
   Sha256 hash;
@@ -185,6 +198,11 @@ absl::Status FilmStore::Save(uint64_t job, int64_t num_tiles, const TileSource& 
   }
   const TileHeader end;
   append(&end, sizeof(end));
+  const std::optional<std::string> who = contributions ? contributions() : "";
+  if (!who) return absl::AbortedError("the film has lost samples while it was written");
+  const uint64_t who_bytes = who->size();
+  append(&who_bytes, sizeof(who_bytes));
+  append(who->data(), who->size());
   const Sha256Digest digest = hash.Finish();
   file->WriteAt(file->size_bytes(), std::as_bytes(std::span(digest)));
   const int64_t bytes_before = BytesOf(job);

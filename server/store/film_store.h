@@ -24,7 +24,8 @@ class FilmStore : public FilmStorage {
   // Errors: PERMISSION_DENIED naming it.
   static absl::StatusOr<std::unique_ptr<FilmStore>> Open(const std::string& dir);
 
-  absl::Status Save(uint64_t job, int64_t num_tiles, const TileSource& source) const override;
+  absl::Status Save(uint64_t job, int64_t num_tiles, const TileSource& source,
+                    const ContributionSource& contributions = {}) const override;
   absl::StatusOr<StoredFilm> Load(uint64_t job, const TileGrid& grid,
                                   int64_t feature_end = kAllFeatures) const override;
   void Remove(uint64_t job) const override;

@@ -154,5 +154,28 @@ TEST(CoordinatorBounds, ThousandsOfQueuedJobsOfManyTilesCostNothingBeforeTheySta
   EXPECT_EQ(farm.coordinator.ListJobs(0, 10000).size(), 1000u);
 }
 
+TEST(CoordinatorBounds, AFullDiskStopsLeasesAndSaysSoUntilItHasRoom) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings());
+  const SessionId worker = farm.Connect(1);
+  farm.Post(DiskEvent{"no space left"});
+  while (farm.RenderOne(worker)) {
+  }
+  farm.Post(TickEvent{});
+  const v1::Job waiting = farm.Job(job);
+  EXPECT_GT(waiting.progress().samples(), 0) << "what was under way counts";
+  EXPECT_LT(waiting.progress().samples(), waiting.progress().samples_total());
+  EXPECT_NE(waiting.waiting().find("disk is full"), std::string::npos) << waiting.waiting();
+  EXPECT_NE(waiting.waiting().find("no space left"), std::string::npos) << waiting.waiting();
+  farm.Connect(4);
+  farm.now_ms += 600;
+  farm.Post(TickEvent{});
+  EXPECT_TRUE(farm.coordinator.ListLeases().empty());
+  farm.Post(DiskEvent{});
+  EXPECT_EQ(farm.Job(job).waiting(), "");
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(SmallSettings(), 16));
+}
+
 }  // namespace
 }  // namespace tessera

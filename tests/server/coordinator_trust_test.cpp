@@ -197,5 +197,78 @@ TEST(CoordinatorTrust, AuditsWaitForAnotherHostAndSaySo) {
   EXPECT_EQ(farm.Job(1).digest(), ExpectedDigest(SmallSettings(), 16));
 }
 
+// What a server would write down of a job, and another one finds.
+RestoreJobEvent StoredJob(const SimulatedFarm& farm, JobId job) {
+  RestoreJobEvent event;
+  event.job = *farm.coordinator.GetJob(job);
+  event.film = std::make_shared<Film>(*farm.coordinator.FilmOf(job));
+  event.suspects = farm.coordinator.SuspectsOf(job);
+  event.contributions = farm.coordinator.ContributionsOf(job);
+  return event;
+}
+
+TEST(CoordinatorTrust, SuspectsSurviveARestart) {
+  SimulatedFarm before;
+  before.Create(SmallSettings());
+  const SessionId session = before.Connect();
+  v1::Lease poison;
+  for (const v1::Lease& lease : before.workers[session].leases) {
+    if (lease.tile_index() == 0) poison = lease;
+  }
+  ASSERT_EQ(Crash(before, session, {poison}), 2u);
+  ASSERT_EQ(before.coordinator.SuspectsOf(1).units_size(), 1);
+
+  CoordinatorConfig config = SmallConfig();
+  config.incarnation = 8;
+  SimulatedFarm after(config);
+  after.next_session = 100;  // other processes
+  after.Post(StoredJob(before, 1));
+  EXPECT_EQ(after.coordinator.SuspectsOf(1).units_size(), 1);
+  after.Connect();
+  EXPECT_EQ(RunPoisoned(after, 100), 2) << "one crash of three was before the restart";
+  EXPECT_EQ(after.Job(1).state(), v1::JOB_STATE_FAILED);
+  EXPECT_THAT(after.Job(1).error(), HasSubstr("has crashed 3 workers"));
+}
+
+TEST(CoordinatorTrust, ABanSurvivesARestart) {
+  SimulatedFarm farm;
+  farm.Post(RestoreBanEvent{"liar"});
+  const SessionId session = farm.Connect(2, "liar");
+  ASSERT_TRUE(farm.workers[session].closed.has_value());
+  EXPECT_TRUE(absl::IsPermissionDenied(*farm.workers[session].closed));
+  EXPECT_THAT(std::string(farm.workers[session].closed->message()), HasSubstr("--forget-bans"));
+}
+
+// At a rate so low that nothing is audited here: what the host has added is known nevertheless.
+TEST(CoordinatorTrust, WhatABannedHostHadAddedBeforeARestartStartsOver) {
+  SimulatedFarm before(AuditConfig(1e-12));
+  const v1::JobSettings settings = SmallSettings();
+  before.Create(settings);
+  const SessionId liar = before.Connect(1, "liar"), honest = before.Connect(1, "honest");
+  for (int i = 0; i < 8; ++i) {
+    auto& leases = before.workers[liar].leases;
+    if (!leases.empty()) {
+      const v1::Lease lease = leases.front();
+      leases.pop_front();
+      DeltaEvent lie = before.Render(liar, lease);
+      lie.tile = SyntheticTile(99, RectOf(lease.window()),
+                               {lease.sample_begin(), lease.sample_end()}, 4);
+      before.Post(std::move(lie));
+    }
+    before.RenderOne(honest);
+  }
+  RestoreJobEvent stored = StoredJob(before, 1);
+  ASSERT_EQ(stored.contributions.hosts_size(), 2);
+
+  CoordinatorConfig config = AuditConfig(1e-12);
+  config.incarnation = 8;
+  SimulatedFarm after(config);
+  after.Post(RestoreBanEvent{"liar"});
+  after.Post(std::move(stored));
+  after.Connect(2, "honest");
+  after.RunAll();
+  EXPECT_EQ(after.Job(1).digest(), ExpectedDigest(settings, 16));
+}
+
 }  // namespace
 }  // namespace tessera

@@ -319,5 +319,110 @@ TEST_F(RestoreTest, AnAcknowledgedCancellationIsOnDiskBeforeTheFilm) {
   EXPECT_EQ(row.state(), v1::JOB_STATE_CANCELLED);
 }
 
+TEST_F(RestoreTest, BansComeBack) {
+  run_->saver->Attach(&run_->host);
+  run_->saver->SaveBan("liar", "it lied");
+  while (run_->saver->WriteDue()) {
+  }
+  run_ = std::make_unique<ServerRun>(dir_);
+  ASSERT_TRUE(run_->Restore().ok());
+  EXPECT_TRUE(run_->host.Read([](const Coordinator& c) { return c.IsBanned("liar"); }));
+  EXPECT_FALSE(run_->host.Read([](const Coordinator& c) { return c.IsBanned("honest"); }));
+}
+
+// The saver takes down who has rendered what and what is suspected; the restorer brings it back.
+TEST_F(RestoreTest, ContributionsAndSuspectsComeBack) {
+  PutRow(1, Record(1).SerializeAsString());
+  PutFilm(1, 4);
+  ASSERT_TRUE(run_->Restore().ok());
+  v1::Contributions contributions;
+  contributions.add_hosts()->set_host("a");
+  contributions.mutable_hosts(0)->add_tiles(1);
+  contributions.mutable_hosts(0)->add_sample_begins(0);
+  contributions.mutable_hosts(0)->add_sample_ends(4);
+  v1::Suspects suspects;
+  suspects.add_units()->set_tile(2);
+  suspects.mutable_units(0)->set_sample_begin(4);
+  suspects.mutable_units(0)->set_sample_end(6);
+  RestoreJobEvent event;
+  event.job = Record(2);
+  event.suspects = suspects;
+  event.contributions = contributions;
+  ASSERT_TRUE(run_->host.Post(std::move(event)).status.ok());
+  run_->saver->Attach(&run_->host);
+  run_->saver->Save(2, true);
+  while (run_->saver->WriteDue()) {
+  }
+  run_ = std::make_unique<ServerRun>(dir_);
+  ASSERT_TRUE(run_->Restore().ok());
+  run_->host.Read([&](const Coordinator& c) {
+    EXPECT_EQ(c.ContributionsOf(2).SerializeAsString(), contributions.SerializeAsString());
+    EXPECT_EQ(c.SuspectsOf(2).SerializeAsString(), suspects.SerializeAsString());
+  });
+}
+
+// Rows that find no room when the test says so.
+class FullRows : public RowStorage {
+ public:
+  absl::Status Put(const CatalogueRow&) override { return Room(); }
+  absl::Status Remove(uint64_t) override { return Room(); }
+  absl::StatusOr<std::vector<CatalogueRow>> ReadAll() override {
+    return std::vector<CatalogueRow>();
+  }
+  absl::Status PutBan(const BanRow&) override { return Room(); }
+  absl::StatusOr<std::vector<BanRow>> ReadBans() override { return std::vector<BanRow>(); }
+  bool full = false;
+
+ private:
+  absl::Status Room() const {
+    return full ? absl::ResourceExhaustedError("no space left on device") : absl::OkStatus();
+  }
+};
+
+TEST_F(RestoreTest, AFullDiskStopsJobsUntilWhatFailedIsWritten) {
+  FullRows rows;
+  JobSaver::Clock::time_point now{};
+  JobSaver saver(&rows, run_->films.get(), run_->assets.get(), [&] { return now; });
+  CoordinatorHost& host = run_->host;
+  saver.Attach(&host);
+  const auto waiting = [&](JobId job) {
+    return host.Read([&](const Coordinator& c) { return c.GetJob(job)->waiting(); });
+  };
+  CreateJobEvent create;
+  create.settings = settings_;
+  const JobId job = host.Post(std::move(create)).job;
+  rows.full = true;
+  saver.Save(job, false);
+  EXPECT_TRUE(saver.WriteDue());
+  EXPECT_NE(waiting(job).find("disk is full"), std::string::npos) << waiting(job);
+  EXPECT_FALSE(saver.WriteDue()) << "not before some seconds have passed";
+  now += std::chrono::seconds(6);
+  EXPECT_TRUE(saver.WriteDue());
+  EXPECT_NE(waiting(job).find("disk is full"), std::string::npos);
+  rows.full = false;
+  now += std::chrono::seconds(6);
+  EXPECT_TRUE(saver.WriteDue());
+  EXPECT_EQ(waiting(job).find("disk is full"), std::string::npos);
+}
+
+TEST_F(RestoreTest, ADeletedJobDoesNotKeepTheDiskFull) {
+  FullRows rows;
+  JobSaver::Clock::time_point now{};
+  JobSaver saver(&rows, run_->films.get(), run_->assets.get(), [&] { return now; });
+  CoordinatorHost& host = run_->host;
+  saver.Attach(&host);
+  CreateJobEvent create;
+  create.settings = settings_;
+  const JobId job = host.Post(std::move(create)).job;
+  rows.full = true;
+  saver.Save(job, false);
+  EXPECT_TRUE(saver.WriteDue());
+  EXPECT_TRUE(host.Read([](const Coordinator& c) { return c.IsDiskFull(); }));
+  host.Post(JobCommandEvent{JobCommand::kDelete, job, ""});
+  now += std::chrono::seconds(6);
+  EXPECT_TRUE(saver.WriteDue());
+  EXPECT_FALSE(host.Read([](const Coordinator& c) { return c.IsDiskFull(); }));
+}
+
 }  // namespace
 }  // namespace tessera

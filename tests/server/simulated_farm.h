@@ -169,6 +169,7 @@ class SimulatedFarm {
   bool answer_pictures = true;
   double estimated_error = 0.5;  // what evaluated pictures say
   std::vector<JobId> removed, saved;
+  std::vector<std::string> bans;
   absl::Status last_status;
 
  private:
@@ -191,6 +192,7 @@ class SimulatedFarm {
   void Apply(const JobChangedEffect&) {}
   void Apply(const TileChangedEffect&) {}
   void Apply(const SaveJobEffect& effect) { saved.push_back(effect.job); }
+  void Apply(const BanEffect& effect) { bans.push_back(effect.host); }
   void Apply(const RemoveJobEffect& effect) { removed.push_back(effect.job); }
   void Apply(const EvaluatePictureEffect& effect) {
     const int64_t committed_spp = coordinator.GetJob(effect.job)->progress().committed_spp();

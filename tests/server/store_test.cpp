@@ -1,4 +1,5 @@
 // The catalogue, films on disk, and the lock of the data folder.
+#include <sqlite3.h>
 #include <sys/resource.h>
 
 #include <csignal>
@@ -45,6 +46,61 @@ TEST_F(StoreTest, CatalogueSurvivesAndCountsRuns) {
   EXPECT_EQ(rows[0].job, 3u);
   EXPECT_EQ(rows[0].request_id, "r3");
   EXPECT_EQ(rows[0].record, std::string("c\0d", 3));
+}
+
+TEST_F(StoreTest, CatalogueKeepsBansAndSuspects) {
+  {
+    auto catalogue = *Catalogue::Open(dir_ + "/jobs.sqlite");
+    EXPECT_TRUE(catalogue->Put({3, "", "x", std::string("s\0s", 3)}).ok());
+    EXPECT_TRUE(catalogue->PutBan({"b", "lies"}).ok());
+    EXPECT_TRUE(catalogue->PutBan({"a", "lies"}).ok());
+    EXPECT_TRUE(catalogue->PutBan({"a", "lies more"}).ok());
+  }
+  auto catalogue = *Catalogue::Open(dir_ + "/jobs.sqlite");
+  EXPECT_EQ((*catalogue->ReadAll())[0].suspects, std::string("s\0s", 3));
+  const std::vector<BanRow> bans = *catalogue->ReadBans();
+  ASSERT_EQ(bans.size(), 2u);
+  EXPECT_EQ(bans[0].host, "a");
+  EXPECT_EQ(bans[0].reason, "lies more");
+  EXPECT_TRUE(catalogue->ForgetBans().ok());
+  EXPECT_TRUE(catalogue->ReadBans()->empty());
+}
+
+void RunSql(const std::string& path, const char* sql) {
+  sqlite3* db = nullptr;
+  ASSERT_EQ(sqlite3_open(path.c_str(), &db), SQLITE_OK);
+  EXPECT_EQ(sqlite3_exec(db, sql, nullptr, nullptr, nullptr), SQLITE_OK) << sqlite3_errmsg(db);
+  sqlite3_close(db);
+}
+
+TEST_F(StoreTest, CatalogueOfTheFirstVersionIsBroughtUp) {
+  const std::string path = dir_ + "/jobs.sqlite";
+  RunSql(path,
+         "PRAGMA journal_mode = WAL;"
+         "CREATE TABLE jobs (job INTEGER PRIMARY KEY, request_id TEXT NOT NULL,"
+         "  record BLOB NOT NULL);"
+         "CREATE TABLE counters (name TEXT PRIMARY KEY, value INTEGER NOT NULL);"
+         "INSERT INTO jobs VALUES (7, 'r7', x'6162');"
+         "INSERT INTO counters VALUES ('incarnation', 4), ('last_job', 9);");
+  for (int i = 0; i < 2; ++i) {
+    auto catalogue = Catalogue::Open(path);
+    ASSERT_TRUE(catalogue.ok()) << catalogue.status();
+    const std::vector<CatalogueRow> rows = *(*catalogue)->ReadAll();
+    ASSERT_EQ(rows.size(), 1u);
+    EXPECT_EQ(rows[0].record, "ab");
+    EXPECT_EQ(rows[0].suspects, "");
+    EXPECT_EQ(*(*catalogue)->LastJob(), 9u);
+    EXPECT_TRUE((*catalogue)->ReadBans()->empty());
+  }
+}
+
+TEST_F(StoreTest, CatalogueOfALaterVersionIsRefused) {
+  const std::string path = dir_ + "/jobs.sqlite";
+  Catalogue::Open(path).value();
+  RunSql(path, "PRAGMA user_version = 99");
+  const absl::Status status = Catalogue::Open(path).status();
+  EXPECT_TRUE(absl::IsFailedPrecondition(status)) << status;
+  EXPECT_NE(status.message().find("start the later tessera-server"), absl::string_view::npos);
 }
 
 TEST_F(StoreTest, CatalogueRefusesAnotherFile) {
@@ -164,6 +220,42 @@ TEST_F(StoreTest, OneServerPerFolder) {
   EXPECT_NE(second.message().find(dir_), absl::string_view::npos);
   first->reset();
   EXPECT_TRUE(DataDir::Open(dir_).ok());
+}
+
+TEST_F(StoreTest, FilmsKeepWhoHasRenderedThem) {
+  const TileGrid grid(PixelRect::FromSize(0, 0, 10, 6), 4);
+  const Film film = SyntheticFilm(1, grid, 4);
+  auto films = *FilmStore::Open(dir_ + "/films");
+  std::vector<int64_t> asked;
+  const auto tiles = [&](int64_t tile) {
+    asked.push_back(tile);
+    return FilmStore::Tile{film.Nodes(tile), {}};
+  };
+  ASSERT_TRUE(films->Save(5, grid.num_tiles(), tiles, [&] {
+    EXPECT_EQ(std::ssize(asked), grid.num_tiles()) << "asked for after the last tile";
+    return std::string("who\0", 4);
+  }).ok());
+  EXPECT_EQ(films->Load(5, grid)->contributions, std::string("who\0", 4));
+}
+
+// A film of the version before: no contributions, another magic.
+TEST_F(StoreTest, FilmsOfTheVersionBeforeAreRead) {
+  const TileGrid grid(PixelRect::FromSize(0, 0, 10, 6), 4);
+  const Film film = SyntheticFilm(1, grid, 4);
+  auto films = *FilmStore::Open(dir_ + "/films");
+  ASSERT_TRUE(films->Save(5, grid.num_tiles(), TilesOf(film)).ok());
+  const std::string path = dir_ + "/films/5.film";
+  std::stringstream bytes;
+  bytes << std::ifstream(path, std::ios::binary).rdbuf();
+  std::string old = bytes.str();
+  old.resize(old.size() - 32 - 8);
+  old[7] = '2';
+  const Sha256Digest digest = Sha256Of(old);
+  std::ofstream(path, std::ios::binary) << old << ToBytes(digest);
+  const auto loaded = films->Load(5, grid);
+  ASSERT_TRUE(loaded.ok()) << loaded.status();
+  EXPECT_EQ(loaded->film->Digest(), film.Digest());
+  EXPECT_EQ(loaded->contributions, "");
 }
 
 }  // namespace

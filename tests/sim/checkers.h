@@ -31,6 +31,8 @@ class Checkers {
   void OnCounted(JobId job, const Unit& unit);
   // An event has been dealt with; these jobs have a new revision.
   void AfterStep(const Coordinator& coordinator, const std::set<JobId>& changed, Instant now);
+  // The film of a job that ends after the only liar was banned.
+  void CheckNoLies(const Film& film, const v1::Job& record);
   // Each job's own: ended, and with the bits of one process. `record`: as a client sees it.
   void CheckEnd(const JobPlan& plan, const v1::Job& record);
 
@@ -55,6 +57,8 @@ class Checkers {
   uint64_t incarnation_ = 0;
   std::map<JobId, uint64_t> revisions_;  // of this incarnation
   std::map<LeaseId, LeaseSeen> seen_;
+  LeaseId last_lease_ = 0;   // of this incarnation
+  bool was_full_ = false;    // nothing may be handed out
   // Of this incarnation: what has been counted, or was in the film that it began with.
   std::map<JobId, std::map<int64_t, std::map<int64_t, int64_t>>> ranges_;  // tile -> begin -> end
 };

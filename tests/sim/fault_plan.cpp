@@ -82,7 +82,6 @@ void AddBadCitizens(SimRandom& random, FaultPlan* plan) {
   honest.failed_fetch = 0;
   for (int i = 0; i < 2; ++i) plan->workers.push_back(honest);
   plan->audit_rate = random.Chance(0.5) ? 1 : random.Uniform();
-  if (plan->audit_rate < 1) return;
   honest.lies = random.Chance(0.5) ? 1 : 0.5 * random.Uniform();
   plan->workers.push_back(honest);
 }

@@ -31,7 +31,21 @@ absl::StatusOr<std::vector<CatalogueRow>> SimRows::ReadAll() {
   return rows;
 }
 
-absl::Status SimFilms::Save(uint64_t job, int64_t num_tiles, const TileSource& source) const {
+absl::Status SimRows::PutBan(const BanRow& ban) {
+  if (!is_alive_()) return Dead();
+  if (platter_.is_full) return Full();
+  platter_.bans[ban.host] = ban;
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<BanRow>> SimRows::ReadBans() {
+  std::vector<BanRow> bans;
+  for (const auto& [host, ban] : platter_.bans) bans.push_back(ban);
+  return bans;
+}
+
+absl::Status SimFilms::Save(uint64_t job, int64_t num_tiles, const TileSource& source,
+                            const ContributionSource& contributions) const {
   SimPlatter::StoredTiles beside;  // renamed over the old one when all of it is there
   for (int64_t tile = 0; tile < num_tiles; ++tile) {
     if (tile % 4 == 0) pass_time_();
@@ -41,6 +55,9 @@ absl::Status SimFilms::Save(uint64_t job, int64_t num_tiles, const TileSource& s
   }
   pass_time_();
   if (!is_alive_()) return Dead();
+  const std::optional<std::string> who = contributions ? contributions() : "";
+  if (!who) return absl::AbortedError("the film has lost samples while it was written");
+  beside.contributions = *who;
   platter_.films[job] = std::move(beside);
   pass_time_();
   return is_alive_() ? absl::OkStatus() : Dead();
@@ -60,6 +77,7 @@ absl::StatusOr<StoredFilm> SimFilms::Load(uint64_t job, const TileGrid& grid,
     }
     stored.costs.push_back(from.cost);
   }
+  stored.contributions = film->second.contributions;
   return stored;
 }
 

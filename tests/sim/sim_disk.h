@@ -16,8 +16,10 @@ namespace tessera {
 // What outlives the server.
 struct SimPlatter {
   std::map<uint64_t, CatalogueRow> rows;
+  std::map<std::string, BanRow> bans;
   struct StoredTiles {
     std::vector<FilmStorage::Tile> tiles;
+    std::string contributions;
     bool damaged = false;
   };
   std::map<uint64_t, StoredTiles> films;
@@ -35,6 +37,8 @@ class SimRows : public RowStorage {
   absl::Status Put(const CatalogueRow& row) override;
   absl::Status Remove(uint64_t job) override;
   absl::StatusOr<std::vector<CatalogueRow>> ReadAll() override;
+  absl::Status PutBan(const BanRow& ban) override;
+  absl::StatusOr<std::vector<BanRow>> ReadBans() override;
 
  private:
   SimPlatter& platter_;
@@ -47,7 +51,8 @@ class SimFilms : public FilmStorage {
   SimFilms(SimPlatter& platter, std::function<bool()> is_alive, std::function<void()> pass_time)
       : platter_(platter), is_alive_(std::move(is_alive)), pass_time_(std::move(pass_time)) {}
 
-  absl::Status Save(uint64_t job, int64_t num_tiles, const TileSource& source) const override;
+  absl::Status Save(uint64_t job, int64_t num_tiles, const TileSource& source,
+                    const ContributionSource& contributions = {}) const override;
   absl::StatusOr<StoredFilm> Load(uint64_t job, const TileGrid& grid,
                                   int64_t feature_end = kAllFeatures) const override;
   void Remove(uint64_t job) const override;

@@ -30,7 +30,11 @@ class SimServer::Run : public EffectSink {
   }
 
   absl::Status Restore() {
-    return RestoreJobs(rows_, films_, *server_.assets_, Config().defaults, host_);
+    const absl::Status status =
+        RestoreJobs(rows_, films_, *server_.assets_, Config().defaults, host_);
+    has_bans_ = !server_.platter_.bans.empty();
+    (void)FilmsReset();
+    return status;
   }
   absl::Status Post(Event event) {
     if (!alive_) return Dead();
@@ -109,6 +113,11 @@ class SimServer::Run : public EffectSink {
   void On(const JobChangedEffect& e) { changed_.insert(e.job); }
   void On(const TileChangedEffect&) {}
   void On(const SaveJobEffect& e) { saver_.Save(e.job, e.with_film); }
+  void On(const BanEffect& e) {
+    server_.trace_(absl::StrCat("bans ", e.host));
+    saver_.SaveBan(e.host, e.reason);
+    has_bans_ = true;
+  }
   void On(const RemoveJobEffect& e) { saver_.Remove(e.job); }
   void On(const EvaluatePictureEffect& e) {
     After(server_.random_.Between(1, 300) * kMs, [this, job = e.job] {
@@ -121,10 +130,14 @@ class SimServer::Run : public EffectSink {
     });
   }
   void On(const FinishJobEffect& e) {
-    After(server_.random_.Between(1, 300) * kMs, [this, job = e.job] {
+    After(server_.random_.Between(1, 300) * kMs, [this, job = e.job, no_lies = has_bans_] {
       const std::shared_ptr<const Film> film =
           host_.Read([&](const Coordinator& c) { return c.FilmOf(job); });
       if (film == nullptr) return;
+      if (no_lies) {
+        const auto record = host_.Read([&](const Coordinator& c) { return c.GetJob(job); });
+        server_.checkers_.CheckNoLies(*film, *record);
+      }
       (void)Post(JobFinishedEvent{job, film->Digest()});
       Settle();
     });
@@ -136,6 +149,7 @@ class SimServer::Run : public EffectSink {
   bool alive_ = true;
   Instant last_step_;
   int64_t banned_hosts_ = 0;
+  bool has_bans_ = false;  // and every job that ends from now on is free of lies
   bool saving_ = false;
   bool save_due_ = false;
   std::set<JobId> changed_;
