@@ -1,6 +1,7 @@
 // How good a filter is where the truth is known (docs/denoiser.md): for each input its error, what
 // it says of its own error, how often its 95 % intervals hold the truth and how wide they are, in
-// how many 32x32 blocks it does harm, and what it costs.
+// how many 32x32 blocks it does harm, what it costs, and what it adds to the picture's sum, in
+// percent of the raw one's.
 //   denoiser_bench INPUT=REFERENCE[,REFERENCE] ... [--denoiser NAME] [--threads N] [--repeat N]
 //     [--set OPTION=VALUE ...] [--update] [--sensitivity]
 // INPUT is a film (tessera render --layers film), or a folder of another renderer's images: color,
@@ -172,6 +173,7 @@ double Around(const PixelRect& bounds, int x, int y, int radius_px, const Value&
 
 struct Row {
   double raw = 0, rel_mse = 0, trimmed = 0, promised = 0;
+  double added = 0;  // to the sum of the raw picture, as a part of it
   double coverage = 0, width = 0;
   int num_blocks = 0, num_harmed = 0;
   double worst_block = 0;
@@ -181,9 +183,11 @@ void MeasureErrors(const FramePlanes& planes, const FilteredPlanes& out, const T
                    Row* row) {
   const size_t num_pixels = out.color[0].size();
   std::vector<double> pixels(num_pixels);
-  double promised = 0, noise = 0;
+  double promised = 0, noise = 0, raw_sum = 0, sum = 0;
   for (size_t i = 0; i < num_pixels; ++i) {
     for (size_t c = 0; c < 3; ++c) {
+      raw_sum += double{planes.color[c][i]};
+      sum += double{out.color[c][i]};
       pixels[i] += truth.Error(double{out.color[c][i]}, c, i) * truth.Scale(c, i) / 3;
       row->raw += truth.Error(double{planes.color[c][i]}, c, i) * truth.Scale(c, i) / 3;
     }
@@ -199,6 +203,7 @@ void MeasureErrors(const FramePlanes& planes, const FilteredPlanes& out, const T
   }
   row->raw /= n;
   row->promised = std::max(promised, noise) / n;
+  row->added = sum / raw_sum - 1;
 }
 
 void MeasureIntervals(const FilteredPlanes& out, const Truth& truth, Row* row) {
@@ -314,11 +319,12 @@ void Measure(const Options& options, const Denoiser& denoiser, const Input& inpu
   MeasureErrors(input.planes, out, input.truth, &row);
   MeasureIntervals(out, input.truth, &row);
   MeasureHarm(input.planes, out, input.truth, &row);
-  std::printf("%-18s %9.1f %8.2f %8.2f  %5.2f  %5.1f %5.2f  %3d/%-4d %5.2f  %6.2f\n",
+  std::printf("%-18s %9.1f %8.2f %8.2f  %5.2f  %5.1f %5.2f  %3d/%-4d %5.2f  %6.2f %+6.2f\n",
               input.name.c_str(), 1e5 * row.raw, 1e5 * row.rel_mse, 1e5 * row.trimmed,
               std::sqrt(std::max(row.rel_mse, 0.0) / row.promised), 100 * row.coverage, row.width,
               row.num_harmed, row.num_blocks, row.worst_block,
-              1e6 * seconds / static_cast<double>(input.planes.samples.size()));
+              1e6 * seconds / static_cast<double>(input.planes.samples.size()),
+              100 * row.added);
   if (options.update) MeasureUpdate(input.planes, denoiser);
   std::fflush(stdout);
 }
@@ -396,8 +402,8 @@ absl::Status Run(const Options& options) {
     PrintSensitivity(options, inputs, denoiser->get());
     return absl::OkStatus();
   }
-  std::printf("%-18s %9s %8s %8s  %5s  %5s %5s  %8s %5s  %6s\n", "relMSE x 1e5", "raw", "filter",
-              "trimmed", "t/p", "cover", "width", "harmed", "worst", "us/px");
+  std::printf("%-18s %9s %8s %8s  %5s  %5s %5s  %8s %5s  %6s %6s\n", "relMSE x 1e5", "raw",
+              "filter", "trimmed", "t/p", "cover", "width", "harmed", "worst", "us/px", "energy");
   for (const Input& input : inputs) Measure(options, **denoiser, input);
   return absl::OkStatus();
 }

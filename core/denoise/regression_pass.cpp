@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/base/check.h"
+#include "core/denoise/confidence.h"
 
 namespace tessera {
 namespace {
@@ -176,7 +177,11 @@ PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& feat
   }
   const Guide guide{pilot.bounds,         &known, {&pilot.color}, 1, &pilot.variance,
                     &input.variance_sum, input.bounds};
-  WindowWeights weights(settings.constants.window_radius_px, settings.constants.weights);
+  // The pilot's variance is pooled, so that no centre takes chance for certainty: neighbours are
+  // excused by all of their own.
+  WeightSettings weight_settings = settings.constants.weights;
+  weight_settings.excuse_ratio = kInfinity;
+  WindowWeights weights(settings.constants.window_radius_px, weight_settings);
   WindowFit fit;
   Accumulator sums(reached, 1);
   const std::array<Planes3, kNumHalves>& color = input.color;

@@ -11,8 +11,8 @@ namespace tessera {
 // Of the weights of a pass.
 struct WeightSettings {
   // How much noisier than the centre a neighbour may be to be excused by its own noise (in
-  // variance). A firefly differs from its neighbours by no more than its own noise, and would lend
-  // to them all. Measured.
+  // variance), where a pixel's variance is its own: in the first pass. A firefly differs from its
+  // neighbours by no more than its own noise, and would lend to them all. Measured.
   float excuse_ratio = 4.0f;
   // Above this ratio to the centre's variance, a neighbour's is certainly larger: by how much two
   // estimates of one variance differ in one case of a thousand, from four samples each, the fewest

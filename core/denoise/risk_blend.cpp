@@ -12,38 +12,53 @@
 namespace tessera {
 namespace {
 
-using Matrix = std::array<std::array<float, kNumCandidatesMax>, kNumCandidatesMax>;
-using Weights = std::array<float, kNumCandidatesMax>;
-
 size_t At(const PixelRect& bounds, int x, int y) {
   return static_cast<size_t>(bounds.IndexOf(x, y));
+}
+
+// What two numbers differ by is cut here before it is squared: sums of squares stay finite.
+constexpr float kDifferenceMax = 0x1p58f;
+
+// The normal distribution's 95 % quantile: the level at which the raw mean is taken back.
+constexpr float kQuantile95 = 1.6448536f;
+
+constexpr size_t NumProducts(size_t num_candidates) {
+  return num_candidates * (num_candidates + 1) / 2;
 }
 
 // Planes over the pixels that are pooled.
 struct Terms {
   Terms(const PixelRect& rect, size_t num_candidates)
       : bounds(rect),
-        difference(SlackArea(rect)),
-        judges(difference.size()),
-        variance(difference.size()) {
-    products.resize(num_candidates * (num_candidates + 1) / 2, Plane(difference.size()));
-  }
+        products(NumProducts(num_candidates), Plane(SlackArea(rect))),
+        known(SlackArea(rect)),
+        raw(known.size()),
+        variance(known.size()),
+        gap_square(raw.size()),
+        excess_square(raw.size()) {}
   PixelRect bounds;
   std::vector<Plane> products;  // M_jk, row by row of the lower triangle, with the data's noise
-  Plane difference;             // of the halves, as a variance of the mean
-  Plane judges;                 // what their variances add to each product
-  Plane variance;
+  Plane known;
+  Plane raw;                    // what a product is whose candidate errs as the raw mean does
+  Plane variance;               // the raw mean's, relative to the brightness likewise
+  Plane gap_square;             // (M_00 - M_11)^2
+  Plane excess_square;          // of the equal blend's product over `raw`
 };
+
+Float8 CutSquare(Float8 value) {
+  const Float8 limit = Float8{} + kDifferenceMax;
+  const Float8 cut = Max8(Min8(value, limit), -limit);
+  return cut * cut;
+}
 
 // M_jk of the pixels of row y, summed over channels relative to the picture's brightness. E of
 // (B - F_A)^2 is the squared error of F_A plus the variance of B; (F_A - F_B)^2 takes out what
-// averaging F_A and F_B gains. The variances that it leaves, the same for all j and k, are taken
-// out by the caller. Vectors reach past the row's end, where the next row overwrites what they
-// leave.
+// averaging F_A and F_B gains. The variances that it leaves, the same for all j and k, are in
+// `raw`. Vectors reach past the row's end, where the next row overwrites what they leave.
 template <size_t kNumCandidates>
 void SetTerms(const RegressionInput& input, std::span<const PassOutput> candidates, int y,
               Terms* terms) {
-  constexpr size_t kNumProducts = kNumCandidates * (kNumCandidates + 1) / 2;
+  constexpr size_t kNumProducts = NumProducts(kNumCandidates);
   const int x_begin = terms->bounds.x_begin;
   size_t p = At(input.bounds, x_begin, y);
   size_t to = At(terms->bounds, x_begin, y);
@@ -84,95 +99,73 @@ void SetTerms(const RegressionInput& input, std::span<const PassOutput> candidat
       difference += scale_ab * ((a - b) * (a - b));
       variance += scale * Load8(&input.variance[c][p]);
     }
-    // Unknown pixels have no share of half B.
+    // The judging halves' variances, and the raw mean's. Unknown pixels have no share of half B.
     const Float8 judges = known > 0.0f ? share_a / share_b + share_b / share_a : Float8{};
+    const Float8 raw = difference * judges + difference;
+    Float8 equal = products[0];
+    if constexpr (kNumCandidates == 2) {
+      equal = 0.25f * (products[0] + 2.0f * products[1] + products[2]);
+      Store8(&terms->gap_square[to], CutSquare(products[0] - products[2]));
+    }
     for (size_t i = 0; i < kNumProducts; ++i) Store8(&terms->products[i][to], products[i]);
-    Store8(&terms->difference[to], difference);
-    Store8(&terms->judges[to], difference * judges);
+    Store8(&terms->known[to], known);
+    Store8(&terms->raw[to], raw);
     Store8(&terms->variance[to], variance);
+    Store8(&terms->excess_square[to], CutSquare(equal - raw));
     p += kFloat8Lanes;
     to += kFloat8Lanes;
     for (size_t& i : at) i += kFloat8Lanes;
   }
 }
 
-// Minimises w' m w over weights that add up to 1, those in `is_free` alone; false if some are
-// negative, the most negative of which is then no longer free.
-bool SolveFree(const Matrix& m, size_t n, std::array<bool, kNumCandidatesMax>* is_free,
-               Weights* weights) {
-  std::array<size_t, kNumCandidatesMax> free;
-  size_t num_free = 0;
-  for (size_t j = 0; j < n; ++j) {
-    (*weights)[j] = 0;
-    if ((*is_free)[j]) free[num_free++] = j;
-  }
-  const size_t last = free[num_free - 1];
-  const size_t size = num_free - 1;
-  // In terms of all but the last weight, by elimination: positive definite, no pivots needed.
-  std::array<std::array<double, kNumCandidatesMax + 1>, kNumCandidatesMax> a;
-  for (size_t i = 0; i < size; ++i) {
-    for (size_t k = 0; k < size; ++k) {
-      a[i][k] = double{m[free[i]][free[k]]} - m[free[i]][last] - m[last][free[k]] + m[last][last];
+// The sums of the terms around each pixel of a window.
+struct PooledTerms {
+  PooledTerms(const Terms& terms, int radius_px, const PixelRect& window) {
+    for (const Plane& plane : terms.products) {
+      products.push_back(BoxSum(plane, terms.bounds, radius_px, window));
     }
-    a[i][size] = double{m[last][last]} - m[free[i]][last];
-  }
-  for (size_t i = 0; i < size; ++i) {
-    if (!(a[i][i] > 0)) continue;
-    for (size_t row = i + 1; row < size; ++row) {
-      const double factor = a[row][i] / a[i][i];
-      for (size_t k = i; k <= size; ++k) a[row][k] -= factor * a[i][k];
+    count = BoxSum(terms.known, terms.bounds, radius_px, window);
+    raw = BoxSum(terms.raw, terms.bounds, radius_px, window);
+    if (products.size() > 1) {
+      variance = BoxSum(terms.variance, terms.bounds, radius_px, window);
+      gap_square = BoxSum(terms.gap_square, terms.bounds, radius_px, window);
     }
+    excess_square = BoxSum(terms.excess_square, terms.bounds, radius_px, window);
   }
-  double sum = 0;
-  for (size_t i = size; i-- > 0;) {
-    double value = a[i][size];
-    for (size_t k = i + 1; k < size; ++k) value -= a[i][k] * (*weights)[free[k]];
-    value = a[i][i] > 0 ? value / a[i][i] : 0;
-    (*weights)[free[i]] = static_cast<float>(value);
-    sum += value;
-  }
-  (*weights)[last] = static_cast<float>(1 - sum);
-  size_t worst = free[0];
-  for (size_t i = 0; i < num_free; ++i) {
-    if (!((*weights)[free[i]] >= (*weights)[worst])) worst = free[i];
-  }
-  if ((*weights)[worst] >= 0) return true;
-  (*is_free)[worst] = false;
-  return false;
-}
 
-// Adds the pull toward equal weights to `m` and minimises over the simplex.
-Weights Minimise(Matrix m, size_t n, float pull) {
-  const float offset = pull / static_cast<float>(n);
-  for (size_t j = 0; j < n; ++j) {
-    for (size_t k = 0; k < n; ++k) m[j][k] += (j == k ? pull : 0.0f) - offset;
+  // The variance of `sum`, of the terms around known pixel i whose squares add up to `squares`, as
+  // their spread shows it.
+  float VarianceOf(float sum, float squares, size_t i) const {
+    return std::max(squares - sum * sum / count[i], 0.0f);
   }
-  std::array<bool, kNumCandidatesMax> is_free = {};
-  std::fill_n(is_free.begin(), n, true);
-  Weights weights = {};
-  for (size_t round = 0; round < n; ++round) {
-    if (SolveFree(m, n, &is_free, &weights)) break;
-  }
-  return weights;
-}
 
-// The blend's weights of a pixel; all zero where the raw mean stays.
-Weights ChooseWeights(const std::vector<Plane>& pooled, float difference, float judges,
-                      float pull, size_t n, size_t i) {
-  Matrix m = {};
-  for (size_t j = 0, at = 0; j < n; ++j) {
-    for (size_t k = 0; k <= j; ++k, ++at) m[j][k] = m[k][j] = pooled[at][i];
+  // The share of candidate 0 in the blend of two.
+  float FirstShare(size_t i) const {
+    const float m_00 = products[0][i], m_01 = products[1][i], m_11 = products[2][i];
+    const float spread = std::sqrt(VarianceOf(m_00 - m_11, gap_square[i], i));
+    const float pull = std::min(variance[i] / std::sqrt(count[i]), spread);
+    const float curvature = m_00 - 2.0f * m_01 + m_11 + 2.0f * pull;
+    if (!(curvature > 0)) return m_00 <= m_11 ? 1.0f : 0.0f;
+    return std::clamp((m_11 - m_01 + pull) / curvature, 0.0f, 1.0f);
   }
-  Weights weights = Minimise(m, n, pull);
-  float risk = 0;
-  for (size_t j = 0; j < n; ++j) {
-    for (size_t k = 0; k < n; ++k) risk += weights[j] * weights[k] * m[j][k];
+
+  // Whether the raw mean is certainly better than the blend with `first_share` of candidate 0.
+  bool IsRawBetter(float first_share, size_t i) const {
+    float product = products[0][i];
+    if (products.size() > 1) {
+      const float second_share = 1.0f - first_share;
+      product = first_share * first_share * products[0][i] +
+                2.0f * first_share * second_share * products[1][i] +
+                second_share * second_share * products[2][i];
+    }
+    const float excess = product - raw[i];
+    // True for NaN.
+    return !(excess <= kQuantile95 * std::sqrt(VarianceOf(excess, excess_square[i], i)));
   }
-  risk -= judges;
-  // False for NaN.
-  if (!(risk <= difference)) weights = {};
-  return weights;
-}
+
+  std::vector<Plane> products;
+  Plane count, raw, variance, gap_square, excess_square;
+};
 
 }  // namespace
 
@@ -180,28 +173,16 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
                            std::span<const PassOutput> candidates, const PixelRect& window,
                            int radius_px) {
   const size_t n = candidates.size();
-  TESSERA_CHECK(n >= 1 && n <= kNumCandidatesMax);
+  TESSERA_CHECK(n == 1 || n == 2);
   Terms terms(window.Expand(radius_px).Intersect(frame), n);
   for (int y = terms.bounds.y_begin; y < terms.bounds.y_end; ++y) {
-    switch (n) {
-      case 1: SetTerms<1>(input, candidates, y, &terms); break;
-      case 2: SetTerms<2>(input, candidates, y, &terms); break;
-      case 3: SetTerms<3>(input, candidates, y, &terms); break;
-      default: SetTerms<4>(input, candidates, y, &terms);
-    }
+    n == 1 ? SetTerms<1>(input, candidates, y, &terms) : SetTerms<2>(input, candidates, y, &terms);
   }
-  std::vector<Plane> pooled;
-  for (const Plane& plane : terms.products) {
-    pooled.push_back(BoxSum(plane, terms.bounds, radius_px, window));
-  }
-  const Plane difference = BoxSum(terms.difference, terms.bounds, radius_px, window);
-  const Plane judges = BoxSum(terms.judges, terms.bounds, radius_px, window);
-  const Plane variance = BoxSum(terms.variance, terms.bounds, radius_px, window);
-  const float pull = 1.0f / static_cast<float>(2 * radius_px + 1);
+  const PooledTerms pooled(terms, radius_px, window);
   BlendedPicture out;
   out.bounds = window;
   for (Planes3* planes : {&out.color, &out.residual, &out.noise}) {
-    for (Plane& plane : *planes) plane.resize(difference.size());
+    for (Plane& plane : *planes) plane.resize(static_cast<size_t>(window.area()));
   }
   size_t i = 0;
   for (int y = window.y_begin; y < window.y_end; ++y) {
@@ -210,19 +191,24 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
       if (input.known[p] == 0) continue;
       const float share_a = input.share_a[p];
       const float share_b = 1.0f - share_a;
-      const Weights weights =
-          ChooseWeights(pooled, difference[i], judges[i], pull * variance[i], n, i);
-      const bool is_raw = weights == Weights{};
+      const float first_share = n == 1 ? 1.0f : pooled.FirstShare(i);
+      const bool is_raw = pooled.IsRawBetter(first_share, i);
       for (size_t c = 0; c < 3; ++c) {
         const float a = input.color[0][c][p];
         const float b = input.color[1][c][p];
-        float filtered_a = is_raw ? a : 0.0f;
-        float filtered_b = is_raw ? b : 0.0f;
-        for (size_t j = 0; j < n && !is_raw; ++j) {
-          const size_t at = At(candidates[j].bounds, x, y);
-          filtered_a += weights[j] * candidates[j].color[0][c][at];
-          filtered_b += weights[j] * candidates[j].color[1][c][at];
-        }
+        const auto blend = [&](size_t half, float raw_value) {
+          if (is_raw) return raw_value;
+          const size_t first = At(candidates[0].bounds, x, y);
+          float value = candidates[0].color[half][c][first];
+          if (n == 2) {
+            const size_t second = At(candidates[1].bounds, x, y);
+            value = first_share * value +
+                    (1.0f - first_share) * candidates[1].color[half][c][second];
+          }
+          return value;
+        };
+        const float filtered_a = blend(0, a);
+        const float filtered_b = blend(1, b);
         const float shares = share_a * share_b;
         const float raw = shares * ((a - b) * (a - b));
         out.color[c][i] = share_a * filtered_a + share_b * filtered_b;

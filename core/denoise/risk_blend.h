@@ -9,8 +9,6 @@
 
 namespace tessera {
 
-inline constexpr int kNumCandidatesMax = 4;
-
 // What is known of the picture that the filter returns, row-major over `bounds`.
 struct BlendedPicture {
   PixelRect bounds;
@@ -22,15 +20,16 @@ struct BlendedPicture {
   Planes3 noise;  // the part of the squared error that the filtered halves differ by
 };
 
-// Blends `candidates` (each at least over `window` expanded by radius_px and cut at `frame`) over
-// `window`. The weights of a pixel's blend are not negative, add up to 1 and minimise
-//   sum_jk l_j l_k M_jk + V / sqrt(n) sum_j (l_j - 1 / num_candidates)^2,
-// where M_jk pools over the n = (2 radius_px + 1)^2 pixels around it the dual-buffer estimate of
-// the covariance of the errors of candidates j and k, and V is the raw mean's variance, pooled
-// alike: 1 / sqrt(n) is the standard error of the pooled estimate in units of V, so that the data
-// speak where they are louder than their noise. Where the blend's risk is above the raw mean's as
-// the halves show it, (A - B)^2 pooled alike, the raw mean stays: both come from the same samples,
-// so that their noise cancels.
+// Blends one or two `candidates` (each at least over `window` expanded by radius_px and cut at
+// `frame`) over `window`. The weights of a pixel's blend are not negative, add up to 1 and minimise
+//   sum_jk l_j l_k M_jk + S sum_j (l_j - 1/2)^2,
+// where M_jk pools over the n <= (2 radius_px + 1)^2 known pixels around it the dual-buffer
+// estimate of the covariance of the errors of candidates j and k, and S is the standard error of
+// M_00 - M_11: the smaller of what the pixels' spread shows and V / sqrt(n), V the raw mean's
+// variance, pooled alike. So the data speak where they are louder than their noise. Where the
+// blend's risk is above the raw mean's as the halves show it, (A - B)^2 pooled alike (both come
+// from the same samples, so that their noise cancels), by 1.64 of the standard errors that the
+// pixels' spread shows, which one pixel alone cannot be, the raw mean stays.
 BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
                            std::span<const PassOutput> candidates, const PixelRect& window,
                            int radius_px);
