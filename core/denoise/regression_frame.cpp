@@ -51,17 +51,19 @@ void Keep(const PassOutput& made, PassOutput* kept) {
   }
 }
 
-// The pilot over `bounds`, from the first pass pilot_radius_px further.
-Pilot MakePilot(const RegressionInput& input, const PassOutput& first,
+// The pilot over `bounds` from the first pass, whose parts `first` reach pilot_radius_px further.
+// The probe's pilot has the variance of the samples' own: the probe moves it by little, and one
+// variance halves the work of finding both pilots' weights.
+Pilot MakePilot(const RegressionInput& input, const PassPair& first,
                 const RegressionSettings& settings, const PixelRect& bounds) {
   const int radius_px = settings.pilot_radius_px;
   Pilot pilot;
   pilot.bounds = bounds;
-  const PixelRect& read = first.bounds;
+  const PixelRect& read = first[0].bounds;
   Plane known(static_cast<size_t>(read.area()));
   Planes3 variance;
   for (size_t c = 0; c < 3; ++c) {
-    pilot.color[c].resize(SlackArea(bounds));
+    for (Planes3& color : pilot.color) color[c].resize(SlackArea(bounds));
     variance[c].resize(known.size());
   }
   size_t i = 0;
@@ -73,12 +75,14 @@ Pilot MakePilot(const RegressionInput& input, const PassOutput& first,
       const float share_a = input.share_a[p];
       const float share_b = 1.0f - share_a;
       for (size_t c = 0; c < 3; ++c) {
-        const float a = first.color[0][c][i];
-        const float b = first.color[1][c][i];
-        variance[c][i] =
-            share_a * share_b * ((a - b) * (a - b)) + settings.raw_share * input.variance[c][p];
-        if (bounds.Contains(x, y)) {
-          pilot.color[c][static_cast<size_t>(bounds.IndexOf(x, y))] = share_a * a + share_b * b;
+        const float difference = first[0].color[0][c][i] - first[0].color[1][c][i];
+        variance[c][i] = share_a * share_b * (difference * difference) +
+                         settings.raw_share * input.variance[c][p];
+        if (!bounds.Contains(x, y)) continue;
+        const auto to = static_cast<size_t>(bounds.IndexOf(x, y));
+        for (size_t run = 0; run < kNumRuns; ++run) {
+          pilot.color[run][c][to] =
+              share_a * first[run].color[0][c][i] + share_b * first[run].color[1][c][i];
         }
       }
     }
@@ -219,13 +223,15 @@ void RegressionFrame::MakeFirst(const FramePlanes& planes, const PixelRect& rect
 void RegressionFrame::MakeSecond(const FramePlanes& planes, const PixelRect& rect) {
   const SmoothFeatures features = FeaturesOver(rect.Expand(settings_.pass_reach_px()));
   RegressionInput input(rect.Expand(settings_.first_of_second_px()), frame_, planes);
-  for (size_t run = 0; run < kNumRuns; ++run) {
-    if (run == 1) Probe(settings_.probe_step, &input);
-    const Pilot pilot =
-        MakePilot(input, Part(first_[run], input.bounds), settings_,
-                  rect.Expand(settings_.pass_reach_px() + 1));
-    Keep(RunPilotPass(input, features, pilot, 1, {frame_, rect, settings_}), &second_[run]);
-  }
+  const Pilot pilot =
+      MakePilot(input, {Part(first_[0], input.bounds), Part(first_[1], input.bounds)}, settings_,
+                rect.Expand(settings_.pass_reach_px() + 1));
+  const ColorHalves color = input.color;
+  Probe(settings_.probe_step, &input);
+  const ColorHalves* const colors[] = {&color, &input.color};
+  const std::vector<PassOutput> made =
+      RunPilotPasses(input, colors, features, pilot, 1, {frame_, rect, settings_});
+  for (size_t run = 0; run < kNumRuns; ++run) Keep(made[run], &second_[run]);
 }
 
 FilteredPlanes RegressionFrame::Finish(const FramePlanes& planes, const PixelRect& window) const {

@@ -104,6 +104,18 @@ void VisitCentres(const RegressionInput& input, const PassSettings& settings,
   }
 }
 
+// Each run's output; its sums are freed as soon as they are divided.
+std::vector<PassOutput> Finish(const RegressionInput& input,
+                               std::span<const ColorHalves* const> colors, const PixelRect& window,
+                               std::vector<Accumulator>* sums) {
+  std::vector<PassOutput> outputs;
+  for (size_t run = 0; run < colors.size(); ++run) {
+    Accumulator done = std::move((*sums)[run]);
+    outputs.push_back(done.Finish(*colors[run], input, window));
+  }
+  return outputs;
+}
+
 // The part of an energy that is not noise: James & Stein's positive part.
 float Kept(float energy, float noise) { return energy > noise ? 1.0f - noise / energy : 0.0f; }
 
@@ -151,11 +163,7 @@ std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
       fit.AddPrediction(into_sums.bounds(), reach_px, into, into_sums.weight_sum(half));
     }
   });
-  std::vector<PassOutput> outputs;
-  for (size_t run = 0; run < colors.size(); ++run) {
-    outputs.push_back(sums[run].Finish(*colors[run], input, settings.bounds));
-  }
-  return outputs;
+  return Finish(input, colors, settings.bounds, &sums);
 }
 
 PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
@@ -164,50 +172,76 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
   return std::move(RunCrossPasses(input, colors, features, settings).front());
 }
 
-PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
-                        const Pilot& pilot, int patch_radius_px, const PassSettings& settings) {
+namespace {
+
+// Shrinks a fit of both halves by the noise that they show.
+void ShrinkByHalves(float share_a, WindowFit* fit) {
+  const float share_b = 1.0f - share_a;
+  for (size_t k = 1; k < static_cast<size_t>(fit->num_unknowns()); ++k) {
+    Float8& z = fit->coefficients[k];
+    float energy = 0, noise = 0;
+    for (int c = 0; c < 3; ++c) {
+      const float mean = share_a * z[c] + share_b * z[3 + c];
+      energy += mean * mean;
+      noise += share_a * share_b * ((z[c] - z[3 + c]) * (z[c] - z[3 + c]));
+    }
+    z *= Kept(energy, noise);
+  }
+}
+
+}  // namespace
+
+std::vector<PassOutput> RunPilotPasses(const RegressionInput& input,
+                                       std::span<const ColorHalves* const> colors,
+                                       const SmoothFeatures& features, const Pilot& pilot,
+                                       int patch_radius_px, const PassSettings& settings) {
   const PixelRect reached = settings.bounds.Expand(settings.constants.pass_reach_px());
   TESSERA_CHECK(features.bounds.Contains(reached) && input.bounds.Contains(reached) &&
                 pilot.bounds.Contains(reached.Expand(patch_radius_px)));
+  TESSERA_CHECK(colors.size() <= pilot.color.size());
   Plane known(SlackArea(pilot.bounds));
   for (int y = pilot.bounds.y_begin; y < pilot.bounds.y_end; ++y) {
     const auto from = static_cast<size_t>(input.bounds.IndexOf(pilot.bounds.x_begin, y));
     const auto to = static_cast<size_t>(pilot.bounds.IndexOf(pilot.bounds.x_begin, y));
     std::copy_n(input.known.data() + from, pilot.bounds.width(), known.data() + to);
   }
-  const Guide guide{pilot.bounds,         &known, {&pilot.color}, 1, &pilot.variance,
-                    &input.variance_sum, input.bounds};
+  Guide guide{.bounds = pilot.bounds, .known = &known, .num_values = 0,
+              .variance = &pilot.variance, .lent_variance = &input.variance_sum,
+              .lent_bounds = input.bounds};
+  std::vector<Accumulator> sums;
+  for (size_t run = 0; run < colors.size(); ++run) {
+    guide.values[static_cast<size_t>(guide.num_values++)] = &pilot.color[run];
+    sums.emplace_back(reached, 1);
+  }
   // The pilot's variance is pooled, so that no centre takes chance for certainty: neighbours are
   // excused by all of their own.
   WeightSettings weight_settings = settings.constants.weights;
   weight_settings.excuse_ratio = kInfinity;
   WindowWeights weights(settings.constants.window_radius_px, weight_settings);
   WindowFit fit;
-  Accumulator sums(reached, 1);
-  const std::array<Planes3, kNumHalves>& color = input.color;
-  const Plane* const targets[] = {color[0].data(), &color[0][1], &color[0][2],
-                            color[1].data(), &color[1][1], &color[1][2]};
-  Plane* const into[] = {sums.sum(0, 0), sums.sum(0, 1), sums.sum(0, 2),
-                         sums.sum(1, 0), sums.sum(1, 1), sums.sum(1, 2)};
-  VisitCentres(input, settings, sums, [&](int x, int y, int reach_px) {
+  VisitCentres(input, settings, sums[0], [&](int x, int y, int reach_px) {
     weights.Set(guide, patch_radius_px, x, y);
     fit.SetCentre(weights, features);
-    fit.Fit(0, input.bounds, targets);
-    const float share_a = input.share_a[static_cast<size_t>(input.bounds.IndexOf(x, y))];
-    const float share_b = 1.0f - share_a;
-    for (size_t k = 1; k < static_cast<size_t>(fit.num_unknowns()); ++k) {
-      Float8& z = fit.coefficients[k];
-      float energy = 0, noise = 0;
-      for (int c = 0; c < 3; ++c) {
-        const float mean = share_a * z[c] + share_b * z[3 + c];
-        energy += mean * mean;
-        noise += share_a * share_b * ((z[c] - z[3 + c]) * (z[c] - z[3 + c]));
-      }
-      z *= Kept(energy, noise);
+    for (size_t run = 0; run < colors.size(); ++run) {
+      const ColorHalves& color = *colors[run];
+      const Plane* const targets[] = {color[0].data(), &color[0][1], &color[0][2],
+                                      color[1].data(), &color[1][1], &color[1][2]};
+      fit.Fit(static_cast<int>(run), input.bounds, targets);
+      ShrinkByHalves(input.share_a[static_cast<size_t>(input.bounds.IndexOf(x, y))], &fit);
+      Accumulator& to = sums[run];
+      Plane* const into[] = {to.sum(0, 0), to.sum(0, 1), to.sum(0, 2),
+                             to.sum(1, 0), to.sum(1, 1), to.sum(1, 2)};
+      fit.AddPrediction(to.bounds(), reach_px, into, to.weight_sum(0));
     }
-    fit.AddPrediction(sums.bounds(), reach_px, into, sums.weight_sum(0));
   });
-  return sums.Finish(input.color, input, settings.bounds);
+  return Finish(input, colors, settings.bounds, &sums);
+}
+
+PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
+                        const Pilot& pilot, int patch_radius_px, const PassSettings& settings) {
+  const ColorHalves* const colors[] = {&input.color};
+  return std::move(
+      RunPilotPasses(input, colors, features, pilot, patch_radius_px, settings).front());
 }
 
 }  // namespace tessera

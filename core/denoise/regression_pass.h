@@ -44,11 +44,12 @@ std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
                                        const SmoothFeatures& features,
                                        const PassSettings& settings);
 
-// What guides the second pass: the first one's result and its variance, over `bounds`.
+// What guides the second pass: the first one's results and the variance of the first of them, over
+// `bounds`.
 struct Pilot {
   PixelRect bounds;
-  Planes3 color;
-  Planes3 variance;  // > 0
+  std::array<Planes3, 2> color;  // the second may be empty
+  Planes3 variance;              // > 0
 };
 
 // A later pass. Both halves are fitted with the weights of one pilot, which costs half as much;
@@ -57,5 +58,11 @@ struct Pilot {
 // patch_radius_px further.
 PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
                         const Pilot& pilot, int patch_radius_px, const PassSettings& settings);
+
+// The later pass of several colours as RunCrossPasses', each with the weights of its own pilot.
+std::vector<PassOutput> RunPilotPasses(const RegressionInput& input,
+                                       std::span<const ColorHalves* const> colors,
+                                       const SmoothFeatures& features, const Pilot& pilot,
+                                       int patch_radius_px, const PassSettings& settings);
 
 }  // namespace tessera

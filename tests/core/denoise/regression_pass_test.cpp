@@ -35,11 +35,11 @@ class RegressionPass : public ::testing::Test {
     Pilot pilot;
     pilot.bounds = kFrame.Expand(kReachPx + 1);
     for (size_t c = 0; c < 3; ++c) {
-      pilot.color[c].resize(SlackArea(pilot.bounds));
+      pilot.color[0][c].resize(SlackArea(pilot.bounds));
       pilot.variance[c].assign(SlackArea(pilot.bounds), 1e-3f);
       for (int y = 0; y < kFrame.y_end; ++y) {
         for (int x = 0; x < kFrame.x_end; ++x) {
-          pilot.color[c][static_cast<size_t>(pilot.bounds.IndexOf(x, y))] =
+          pilot.color[0][c][static_cast<size_t>(pilot.bounds.IndexOf(x, y))] =
               frame_.truth[c][static_cast<size_t>(kFrame.IndexOf(x, y))];
         }
       }
