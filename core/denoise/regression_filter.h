@@ -10,7 +10,7 @@ namespace tessera {
 
 // Final: features are prefiltered; a first pass fits each half of the samples with weights from the
 // other; a second fits again with weights from the first one's result; every pixel gets the blend
-// of the two that has the least estimated error, or the raw mean where that is certainly better.
+// of the two that has the least estimated error, or the raw mean where none is better.
 // Preview: the bilateral filter's, a tenth of the time.
 //
 // Error: 1.96 times the root of the mean squared error, noise and bias, by Stein's estimate with a

@@ -19,9 +19,6 @@ size_t At(const PixelRect& bounds, int x, int y) {
 // What two numbers differ by is cut here before it is squared: sums of squares stay finite.
 constexpr float kDifferenceMax = 0x1p58f;
 
-// The normal distribution's 95 % quantile: the level at which the raw mean is taken back.
-constexpr float kQuantile95 = 1.6448536f;
-
 constexpr size_t NumProducts(size_t num_candidates) {
   return num_candidates * (num_candidates + 1) / 2;
 }
@@ -34,15 +31,13 @@ struct Terms {
         known(SlackArea(rect)),
         raw(known.size()),
         variance(known.size()),
-        gap_square(raw.size()),
-        excess_square(raw.size()) {}
+        gap_square(raw.size()) {}
   PixelRect bounds;
   std::vector<Plane> products;  // M_jk, row by row of the lower triangle, with the data's noise
   Plane known;
   Plane raw;                    // what a product is whose candidate errs as the raw mean does
   Plane variance;               // the raw mean's, relative to the brightness likewise
   Plane gap_square;             // (M_00 - M_11)^2
-  Plane excess_square;          // of the equal blend's product over `raw`
 };
 
 Float8 CutSquare(Float8 value) {
@@ -102,16 +97,13 @@ void SetTerms(const RegressionInput& input, std::span<const PassOutput> candidat
     // The judging halves' variances, and the raw mean's. Unknown pixels have no share of half B.
     const Float8 judges = known > 0.0f ? share_a / share_b + share_b / share_a : Float8{};
     const Float8 raw = difference * judges + difference;
-    Float8 equal = products[0];
     if constexpr (kNumCandidates == 2) {
-      equal = 0.25f * (products[0] + 2.0f * products[1] + products[2]);
       Store8(&terms->gap_square[to], CutSquare(products[0] - products[2]));
     }
     for (size_t i = 0; i < kNumProducts; ++i) Store8(&terms->products[i][to], products[i]);
     Store8(&terms->known[to], known);
     Store8(&terms->raw[to], raw);
     Store8(&terms->variance[to], variance);
-    Store8(&terms->excess_square[to], CutSquare(equal - raw));
     p += kFloat8Lanes;
     to += kFloat8Lanes;
     for (size_t& i : at) i += kFloat8Lanes;
@@ -130,7 +122,6 @@ struct PooledTerms {
       variance = BoxSum(terms.variance, terms.bounds, radius_px, window);
       gap_square = BoxSum(terms.gap_square, terms.bounds, radius_px, window);
     }
-    excess_square = BoxSum(terms.excess_square, terms.bounds, radius_px, window);
   }
 
   // The variance of `sum`, of the terms around known pixel i whose squares add up to `squares`, as
@@ -149,7 +140,7 @@ struct PooledTerms {
     return std::clamp((m_11 - m_01 + pull) / curvature, 0.0f, 1.0f);
   }
 
-  // Whether the raw mean is certainly better than the blend with `first_share` of candidate 0.
+  // Whether the raw mean is better than the blend with `first_share` of candidate 0.
   bool IsRawBetter(float first_share, size_t i) const {
     float product = products[0][i];
     if (products.size() > 1) {
@@ -158,13 +149,11 @@ struct PooledTerms {
                 2.0f * first_share * second_share * products[1][i] +
                 second_share * second_share * products[2][i];
     }
-    const float excess = product - raw[i];
-    // True for NaN.
-    return !(excess <= kQuantile95 * std::sqrt(VarianceOf(excess, excess_square[i], i)));
+    return !(product <= raw[i]);  // true for NaN
   }
 
   std::vector<Plane> products;
-  Plane count, raw, variance, gap_square, excess_square;
+  Plane count, raw, variance, gap_square;
 };
 
 }  // namespace

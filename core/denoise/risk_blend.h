@@ -27,9 +27,8 @@ struct BlendedPicture {
 // estimate of the covariance of the errors of candidates j and k, and S is the standard error of
 // M_00 - M_11: the smaller of what the pixels' spread shows and V / sqrt(n), V the raw mean's
 // variance, pooled alike. So the data speak where they are louder than their noise. Where the
-// blend's risk is above the raw mean's as the halves show it, (A - B)^2 pooled alike (both come
-// from the same samples, so that their noise cancels), by 1.64 of the standard errors that the
-// pixels' spread shows, which one pixel alone cannot be, the raw mean stays.
+// blend's risk is above the raw mean's as the halves show it, (A - B)^2 pooled alike, the raw mean
+// stays: both come from the same samples, so that their noise cancels.
 BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
                            std::span<const PassOutput> candidates, const PixelRect& window,
                            int radius_px);

@@ -67,24 +67,6 @@ TEST_F(RiskBlend, TheRawMeanStaysWhereNothingIsBetter) {
   }
 }
 
-// A pixel whose error outweighs all that is around it, such as a lamp's rim, says nothing of that.
-TEST_F(RiskBlend, OneBadPixelDoesNotBringTheNoiseBack) {
-  PassOutput candidates[] = {Candidate(0.0f, 0.05f, 1), Candidate(0.0f, 0.05f, 2)};
-  const auto bad = static_cast<size_t>(kFrame.IndexOf(32, 32));
-  for (PassOutput& candidate : candidates) {
-    for (Planes3& half : candidate.color) {
-      for (Plane& plane : half) plane[bad] += 100.0f;
-    }
-  }
-  const BlendedPicture blend = BlendByRisk(input_, kFrame, candidates, kFrame, 4);
-  for (int y = 28; y <= 36; ++y) {
-    for (int x = 28; x <= 36; ++x) {
-      const auto i = static_cast<size_t>(kFrame.IndexOf(x, y));
-      EXPECT_NE(blend.color[0][i], frame_.planes.color[0][i]) << x << ", " << y;
-    }
-  }
-}
-
 // Every ninth pixel has two samples, all around it have three: what the halves' own variances add
 // to the pooled error is theirs, not that of a pixel with equal halves. The candidate's error is
 // three quarters of the raw mean's, and the estimate's standard error about a sixth of it.
