@@ -85,7 +85,8 @@ void Decode(benchmark::State& state, const TileStatistics& tile, DeltaEncoding e
 
 void RegisterCodec(const std::string& name, const TileStatistics& tile) {
   for (const auto& [encoding, suffix] : {std::pair(DeltaEncoding::kPacked, "packed"),
-                                         std::pair(DeltaEncoding::kPackedZstd, "zstd")}) {
+                                         std::pair(DeltaEncoding::kPackedZstd, "zstd"),
+                                         std::pair(DeltaEncoding::kPackedBlocks, "blocks")}) {
     benchmark::RegisterBenchmark(("Encode/" + name + "/" + suffix).c_str(), Encode, tile, encoding);
     benchmark::RegisterBenchmark(("Decode/" + name + "/" + suffix).c_str(), Decode, tile, encoding);
   }
@@ -141,7 +142,7 @@ std::optional<TileStatistics> ReadDelta(const std::string& argument) {
   }
   std::ifstream file(argument.substr(0, comma), std::ios::binary);
   const std::string payload{std::istreambuf_iterator<char>(file), {}};
-  for (const uint32_t encoding : {1u, 2u}) {
+  for (const uint32_t encoding : {1u, 2u, 3u}) {
     auto tile = DecodeDelta(PixelRect::FromSize(0, 0, width, height), {begin, end}, feature_end,
                             encoding, payload);
     if (tile.ok()) return *std::move(tile);

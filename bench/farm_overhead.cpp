@@ -264,7 +264,7 @@ void ReportBytes(const PathTracer& tracer, const FarmRun& run, const TileGrid& g
       RenderCounters counters;
       const auto rendered = tracer.Render(grid.WindowOf(tile), node, nullptr, &counters);
       if (!rendered.ok()) Die(rendered.status().ToString());
-      const EncodedDelta delta = EncodeDelta(*rendered, DeltaEncoding::kPackedZstd);
+      const EncodedDelta delta = EncodeDelta(*rendered, DeltaEncoding::kPackedBlocks);
       rendered_features = rendered->has_features();
       raw += delta.payload_bytes;
       packed += static_cast<int64_t>(delta.payload.size());

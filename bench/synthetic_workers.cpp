@@ -32,7 +32,7 @@ DeltaStock::DeltaStock(const PathTracer& tracer, const PixelRect& window, int64_
       const SampleRange range{begin, begin + size};
       const auto tile = tracer.Render(window, range, nullptr, &counters);
       if (!tile.ok()) Die(tile.status().ToString());
-      EncodedDelta encoded = EncodeDelta(*tile, DeltaEncoding::kPackedZstd);
+      EncodedDelta encoded = EncodeDelta(*tile, DeltaEncoding::kPackedBlocks);
       entries_[StockKeyOf(range)] = {std::move(encoded.payload), encoded.payload_bytes,
                                      counters.rays};
     }
@@ -52,7 +52,7 @@ v1::TileDelta DeltaStock::Answer(const v1::Lease& lease) const {
   delta.set_sample_begin(range.begin);
   delta.set_sample_end(range.end);
   delta.set_payload(entry.payload);
-  delta.set_encoding(static_cast<uint32_t>(DeltaEncoding::kPackedZstd));
+  delta.set_encoding(static_cast<uint32_t>(DeltaEncoding::kPackedBlocks));
   delta.set_payload_bytes(entry.payload_bytes);
   delta.set_rays(entry.rays);
   delta.set_feature_end(feature_end_);

@@ -6,7 +6,6 @@
 #include <algorithm>
 #include <array>
 #include <bit>
-#include <cmath>
 #include <cstring>
 #include <memory>
 #include <utility>
@@ -14,6 +13,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
+#include "core/film/code_blocks.h"
 #include "core/film/fold.h"
 #include "core/film/plane_coding.h"
 
@@ -67,7 +67,7 @@ bool IsMsdPlane(int plane) { return plane == kDepthMsd || (plane < kDepthMean &&
 
 // The planes of one quantity in both halves, as words and as codes.
 struct QuantityPlanes {
-  explicit QuantityPlanes(size_t num_pixels) {
+  void Resize(size_t num_pixels) {
     for (int half = 0; half < kNumHalves; ++half) {
       for (int channel = 0; channel < kNumChannelsMax; ++channel) {
         words[half][channel].resize(num_pixels);
@@ -138,6 +138,7 @@ class ByteReader {
     bytes_.remove_prefix(num_bytes);
     return true;
   }
+  bool ReadCodes(std::span<uint32_t> codes) { return ReadBlocks(&bytes_, codes); }
   bool empty() const { return bytes_.empty(); }
 
  private:
@@ -233,6 +234,22 @@ bool ReadCodings(const TileStatistics& tile, ByteReader* reader, PlaneCodings* c
   return true;
 }
 
+// Reads the blocks of one quantity into codes.
+absl::Status ReadBlocksOf(const Quantity& quantity, const PlaneCodings& codings, ByteReader* reader,
+                          QuantityPlanes* planes) {
+  for (int channel = 0; channel < quantity.num_channels; ++channel) {
+    for (int half = 0; half < kNumHalves; ++half) {
+      std::vector<uint32_t>& codes = planes->codes[half][channel];
+      if (codings[half][quantity.first_plane + channel].width_bytes == 0) {
+        std::ranges::fill(codes, 0);
+      } else if (!reader->ReadCodes(codes)) {
+        return Malformed("bad blocks of codes");
+      }
+    }
+  }
+  return absl::OkStatus();
+}
+
 // Reads the streams of one quantity into codes.
 absl::Status ReadStreams(const Quantity& quantity, DeltaEncoding encoding,
                          const PlaneCodings& codings, ByteReader* reader, QuantityPlanes* planes) {
@@ -261,6 +278,75 @@ absl::Status ReadStreams(const Quantity& quantity, DeltaEncoding encoding,
   return absl::OkStatus();
 }
 
+// Appends the streams of one quantity.
+void AppendStreams(const Quantity& quantity, DeltaEncoding encoding, const PlaneCodings& codings,
+                   const QuantityPlanes& planes, std::string* body) {
+  const size_t area = planes.codes[0][0].size();
+  std::string stream;
+  for (int byte_index = 0; byte_index < 4; ++byte_index) {
+    stream.clear();
+    VisitStream(quantity, byte_index, codings, [&](int half, int channel) {
+      stream.resize(stream.size() + area);
+      SplitByte(planes.codes[half][channel], byte_index, stream.data() + stream.size() - area);
+    });
+    if (encoding == DeltaEncoding::kPacked) {
+      *body += stream;
+    } else if (!stream.empty()) {
+      AppendCompressed(stream, body);
+    }
+  }
+}
+
+std::span<const PlanePredictor> PredictorsOf(DeltaEncoding encoding) {
+  switch (encoding) {
+    case DeltaEncoding::kPacked:
+      return kNoPredictors;
+    case DeltaEncoding::kPackedZstd:
+      return kLeftPredictors;
+    case DeltaEncoding::kPackedBlocks:
+      return kAbovePredictors;
+  }
+  TESSERA_CHECK(false);
+  return {};
+}
+
+// Comparisons of bits, which a vector unit makes for all lanes: greater numbers have greater bits,
+// and infinity and NaN the greatest.
+constexpr uint32_t kSignBit = uint32_t{1} << 31;
+
+uint32_t GreatestOf(std::span<const uint32_t> counts) {
+  uint32_t greatest = 0;
+  for (const uint32_t count : counts) greatest = std::max(greatest, count);
+  return greatest;
+}
+bool AreWithin(float magnitude_max, std::span<const float> values) {
+  uint32_t greatest = 0;
+  for (const float value : values) {
+    greatest = std::max(greatest, std::bit_cast<uint32_t>(value) & ~kSignBit);
+  }
+  return greatest <= std::bit_cast<uint32_t>(magnitude_max);
+}
+bool AreBetweenZeroAnd(float max, std::span<const float> values) {
+  uint32_t greatest = 0;
+  for (const float value : values) {
+    // -0 becomes 0; every other negative number has the sign bit.
+    greatest = std::max(greatest, std::bit_cast<uint32_t>(value + 0.0f));
+  }
+  return greatest <= std::bit_cast<uint32_t>(max);
+}
+bool HasDepthWithoutHits(const TileStatistics& tile, int half) {
+  const uint32_t* const hits = tile.Counts(half, kHits).data();
+  const float* const mean = tile.Floats(half, kDepthMean).data();
+  const float* const msd = tile.Floats(half, kDepthMsd).data();
+  uint32_t any = 0;
+  for (int64_t i = 0; i < tile.num_pixels(); ++i) {
+    const uint32_t depth =
+        (std::bit_cast<uint32_t>(mean[i]) | std::bit_cast<uint32_t>(msd[i])) & ~kSignBit;
+    any |= hits[i] == 0 ? depth : 0;
+  }
+  return any != 0;
+}
+
 // Restores the planes of one quantity from their codes into `tile`.
 absl::Status RestoreQuantity(const Quantity& quantity, const PlaneCodings& codings,
                              QuantityPlanes* planes, TileStatistics* tile) {
@@ -284,46 +370,37 @@ absl::Status ValidateStatistics(const TileStatistics& tile) {
   if (tile.non_finite < 0 || tile.non_finite > tile.num_pixels() * tile.range().size()) {
     return Malformed("more non-finite samples than samples");
   }
-  const size_t area = static_cast<size_t>(tile.num_pixels());
   for (int half = 0; half < kNumHalves; ++half) {
     const uint32_t feature_count = static_cast<uint32_t>(tile.FeatureHalfCount(half));
     const uint32_t later_count = static_cast<uint32_t>(tile.HalfCount(half)) - feature_count;
     for (int plane = 0; plane < tile.num_float_planes(); ++plane) {
       const uint32_t count =
           plane < kNumRadiancePlanes ? feature_count + later_count : feature_count;
-      const float least = IsMsdPlane(plane) ? 0 : -kMeanMax;
-      const float greatest = count == 0 ? 0 : IsMsdPlane(plane) ? kMsdMax : kMeanMax;
-      bool ok = true;  // false for NaN, too
-      for (const float value : tile.Floats(half, plane)) {
-        ok &= value >= (count == 0 ? 0 : least) && value <= greatest;
-      }
+      const bool ok = IsMsdPlane(plane) ? AreBetweenZeroAnd(count == 0 ? 0 : kMsdMax,
+                                                            tile.Floats(half, plane))
+                                        : AreWithin(count == 0 ? 0 : kMeanMax,
+                                                    tile.Floats(half, plane));
       if (!ok) return Malformed(absl::StrCat("float plane ", plane, " is out of range"));
     }
-    if (std::ranges::any_of(tile.Counts(half, kLaterHits),
-                            [&](uint32_t hits) { return hits > later_count; })) {
+    if (GreatestOf(tile.Counts(half, kLaterHits)) > later_count) {
       return Malformed("hits do not fit the samples");
     }
     if (!tile.has_features()) continue;
-    const auto hits = tile.Counts(half, kHits);
-    const auto votes = tile.Counts(half, kIdVotes);
-    const auto depth_mean = tile.Floats(half, kDepthMean);
-    const auto depth_msd = tile.Floats(half, kDepthMsd);
-    bool ok = true;
-    for (size_t i = 0; i < area; ++i) {
-      ok &= hits[i] <= feature_count && votes[i] <= feature_count;
-      ok &= hits[i] > 0 || (depth_mean[i] == 0 && depth_msd[i] == 0);
+    if (GreatestOf(tile.Counts(half, kHits)) > feature_count ||
+        GreatestOf(tile.Counts(half, kIdVotes)) > feature_count || HasDepthWithoutHits(tile, half)) {
+      return Malformed("hits or votes do not fit the samples");
     }
-    if (!ok) return Malformed("hits or votes do not fit the samples");
   }
   return absl::OkStatus();
 }
 
 EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
   const size_t area = static_cast<size_t>(tile.num_pixels());
-  const bool compress = encoding == DeltaEncoding::kPackedZstd;
+  const std::span<const PlanePredictor> predictors = PredictorsOf(encoding);
   PlaneCodings codings;
-  QuantityPlanes planes(area);
-  std::string body, stream;
+  thread_local QuantityPlanes planes;
+  planes.Resize(area);
+  std::string body;
   size_t packed_bytes = kChecksumBytes;
   for (const Quantity& quantity : kQuantities) {
     if (!Has(tile, quantity.first_plane)) continue;
@@ -331,23 +408,17 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
       const int plane = quantity.first_plane + channel;
       for (int half = 0; half < kNumHalves; ++half) {
         CopyWords(tile, half, plane, &planes.words[half][channel]);
+        std::vector<uint32_t>& codes = planes.codes[half][channel];
         codings[half][plane] =
             CodePlane(planes.ContextOf(quantity, half, channel, tile.window().width()),
-                      planes.words[half][channel], compress, planes.codes[half][channel]);
+                      planes.words[half][channel], predictors, codes);
+        const uint8_t width_bytes = codings[half][plane].width_bytes;
+        packed_bytes += width_bytes * area;
+        if (encoding == DeltaEncoding::kPackedBlocks && width_bytes > 0) AppendBlocks(codes, &body);
       }
     }
-    for (int byte_index = 0; byte_index < 4; ++byte_index) {
-      stream.clear();
-      VisitStream(quantity, byte_index, codings, [&](int half, int channel) {
-        stream.resize(stream.size() + area);
-        SplitByte(planes.codes[half][channel], byte_index, stream.data() + stream.size() - area);
-      });
-      packed_bytes += stream.size();
-      if (!compress) {
-        body += stream;
-      } else if (!stream.empty()) {
-        AppendCompressed(stream, &body);
-      }
+    if (encoding != DeltaEncoding::kPackedBlocks) {
+      AppendStreams(quantity, encoding, codings, planes, &body);
     }
   }
 
@@ -383,8 +454,8 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
     return absl::InvalidArgumentError(absl::StrCat(
         "delta: features cannot end at sample ", feature_end, ": give a power of two up to 2^31"));
   }
-  if (encoding != static_cast<uint32_t>(DeltaEncoding::kPacked) &&
-      encoding != static_cast<uint32_t>(DeltaEncoding::kPackedZstd)) {
+  if (encoding < static_cast<uint32_t>(DeltaEncoding::kPacked) ||
+      encoding > static_cast<uint32_t>(DeltaEncoding::kPackedBlocks)) {
     return absl::InvalidArgumentError(absl::StrCat("delta: unknown encoding ", encoding,
                                                    "; use the server's version of the worker"));
   }
@@ -404,11 +475,14 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
     return Malformed("bad plane header");
   }
   tile.non_finite = static_cast<int64_t>(non_finite);
-  QuantityPlanes planes(static_cast<size_t>(tile.num_pixels()));
+  thread_local QuantityPlanes planes;
+  planes.Resize(static_cast<size_t>(tile.num_pixels()));
+  const auto known_encoding = static_cast<DeltaEncoding>(encoding);
   for (const Quantity& quantity : kQuantities) {
     if (!Has(tile, quantity.first_plane)) continue;
-    absl::Status status =
-        ReadStreams(quantity, static_cast<DeltaEncoding>(encoding), codings, &reader, &planes);
+    absl::Status status = known_encoding == DeltaEncoding::kPackedBlocks
+                              ? ReadBlocksOf(quantity, codings, &reader, &planes)
+                              : ReadStreams(quantity, known_encoding, codings, &reader, &planes);
     if (status.ok()) status = RestoreQuantity(quantity, codings, &planes, &tile);
     if (!status.ok()) return status;
   }

@@ -12,8 +12,9 @@
 namespace tessera {
 
 enum class DeltaEncoding : uint32_t {
-  kPacked = 1,      // planes packed to their stored precision
-  kPackedZstd = 2,  // the same, bytes shuffled, zstd-compressed
+  kPacked = 1,        // planes packed to their stored precision: the quickest to write
+  kPackedZstd = 2,    // the same, bytes shuffled, zstd-compressed: the smallest, for disks
+  kPackedBlocks = 3,  // the same, bits packed in blocks: nearly as small and quick to read
 };
 
 struct EncodedDelta {

@@ -2,11 +2,12 @@
 
 #include <algorithm>
 #include <bit>
-#include <cmath>
 #include <limits>
 
 namespace tessera {
 namespace {
+
+constexpr uint32_t kSignBit = uint32_t{1} << 31;
 
 // Neighbouring numbers have neighbouring keys, whatever their sign.
 uint32_t KeyOf(uint32_t word, bool is_float) { return is_float ? std::rotl(word, 1) : word; }
@@ -23,9 +24,23 @@ uint32_t OffsetCode(uint32_t key, uint32_t base) { return key == 0 ? 0 : key - b
 // `from`, changed in the ratio of `guide` to `guide_from`; `from` itself where that is no number.
 uint32_t Scale(uint32_t from, uint32_t guide, uint32_t guide_from) {
   const float ratio = std::bit_cast<float>(guide) / std::bit_cast<float>(guide_from);
-  const float scaled = std::bit_cast<float>(from) * ratio;
-  return std::fabs(scaled) <= std::numeric_limits<float>::max() ? std::bit_cast<uint32_t>(scaled)
-                                                                : from;
+  const uint32_t scaled = std::bit_cast<uint32_t>(std::bit_cast<float>(from) * ratio);
+  constexpr uint32_t kInfinity = 0x7f800000;
+  return (scaled & ~kSignBit) < kInfinity ? scaled : from;
+}
+
+// Calls visit(pixel, above) for every pixel, in order of rows; `above` of the first row is the first
+// pixel. A row's pixels do not depend on each other.
+template <typename Visitor>
+void VisitAbove(size_t num_pixels, size_t row_px, const Visitor& visit) {
+  const size_t first_row_px = std::min(row_px, num_pixels);
+#pragma GCC ivdep
+  for (size_t i = 1; i < first_row_px; ++i) visit(i, size_t{0});
+  for (size_t begin = first_row_px; begin < num_pixels; begin += row_px) {
+    const size_t end = std::min(begin + row_px, num_pixels);
+#pragma GCC ivdep
+    for (size_t i = begin; i < end; ++i) visit(i, i - row_px);
+  }
 }
 
 // Calls visit(pixel, left) for every pixel but the first, in order; `left` of a row's first pixel
@@ -66,6 +81,18 @@ void Code(const PlaneContext& context, const PlaneCoding& coding, std::span<cons
         out[i] = ZigZag(key_of(in[i]) - key_of(Scale(in[left], guide[i], guide[left])));
       });
       break;
+    case PlanePredictor::kAbove:
+      out[0] = ZigZag(key_of(in[0]) - coding.base);
+      VisitAbove(num_pixels, row_px, [=](size_t i, size_t above) {
+        out[i] = ZigZag(key_of(in[i]) - key_of(in[above]));
+      });
+      break;
+    case PlanePredictor::kAboveRatio:
+      out[0] = ZigZag(key_of(in[0]) - coding.base);
+      VisitAbove(num_pixels, row_px, [=](size_t i, size_t above) {
+        out[i] = ZigZag(key_of(in[i]) - key_of(Scale(in[above], guide[i], guide[above])));
+      });
+      break;
     case PlanePredictor::kOtherHalf:
       for (size_t i = 0; i < num_pixels; ++i) {
         out[i] = ZigZag(key_of(in[i]) - key_of(other_half[i]));
@@ -102,10 +129,12 @@ bool PlaneContext::Allows(PlanePredictor predictor) const {
   switch (predictor) {
     case PlanePredictor::kNone:
     case PlanePredictor::kLeft:
+    case PlanePredictor::kAbove:
       return true;
     case PlanePredictor::kOtherHalf:
       return !other_half.empty();
     case PlanePredictor::kLeftRatio:
+    case PlanePredictor::kAboveRatio:
       return is_float && !guide.empty();
     case PlanePredictor::kOtherHalfRatio:
       return is_float && !guide.empty() && !other_half.empty() && !other_guide.empty();
@@ -113,8 +142,8 @@ bool PlaneContext::Allows(PlanePredictor predictor) const {
   return false;
 }
 
-PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> words, bool predict,
-                      std::span<uint32_t> codes) {
+PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> words,
+                      std::span<const PlanePredictor> predictors, std::span<uint32_t> codes) {
   PlaneCoding coding;
   if (words.empty()) return coding;
   uint32_t any = 0;
@@ -132,28 +161,26 @@ PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> wor
     std::ranges::fill(codes, 0);
     return coding;
   }
-  coding.base = (least + 1) >> coding.shift;
-
-  if (predict) {
-    uint64_t least_bits = std::numeric_limits<uint64_t>::max();
-    PlanePredictor best = PlanePredictor::kNone;
-    for (const PlanePredictor predictor :
-         {PlanePredictor::kNone, PlanePredictor::kLeft, PlanePredictor::kOtherHalf,
-          PlanePredictor::kLeftRatio, PlanePredictor::kOtherHalfRatio}) {
-      if (!context.Allows(predictor)) continue;
-      coding.predictor = predictor;
-      Code(context, coding, words, codes);
-      const uint64_t bits = CostBits(codes);
-      if (bits < least_bits) {
-        least_bits = bits;
-        best = predictor;
-      }
-    }
-    coding.predictor = best;
+  const uint32_t first = KeyOf(words[0], context.is_float) >> coding.shift;
+  least = (least + 1) >> coding.shift;
+  PlaneCoding best;
+  uint64_t best_bits = std::numeric_limits<uint64_t>::max();
+  for (const PlanePredictor predictor : predictors) {
+    if (!context.Allows(predictor)) continue;
+    coding.predictor = predictor;
+    // A whole row is told from the first pixel, which is told from `base`.
+    const bool is_above =
+        predictor == PlanePredictor::kAbove || predictor == PlanePredictor::kAboveRatio;
+    coding.base = is_above ? first : least;
+    Code(context, coding, words, codes);
+    const uint64_t bits = predictors.size() == 1 ? 0 : CostBits(codes);
+    if (bits >= best_bits) continue;
+    best_bits = bits;
+    best = coding;
   }
-  Code(context, coding, words, codes);
-  coding.width_bytes = WidthBytes(codes);
-  return coding;
+  if (best != coding) Code(context, best, words, codes);
+  best.width_bytes = WidthBytes(codes);
+  return best;
 }
 
 void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
@@ -168,6 +195,11 @@ void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
   const auto restored = [=](uint32_t predicted, uint32_t code) {
     return word_of(key_of(predicted) + UnZigZag(code));
   };
+  const uint32_t* const in = codes.data();
+  const uint32_t* const guide = context.guide.data();
+  const uint32_t* const other_guide = context.other_guide.data();
+  const uint32_t* const other_half = context.other_half.data();
+  uint32_t* __restrict const out = words.data();
   switch (coding.predictor) {
     case PlanePredictor::kNone:
       if (coding.width_bytes == 0) {
@@ -175,29 +207,37 @@ void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
         break;
       }
       for (size_t i = 0; i < num_pixels; ++i) {
-        words[i] = word_of(codes[i] == 0 ? 0 : codes[i] + coding.base - 1);
+        out[i] = word_of(in[i] == 0 ? 0 : in[i] + coding.base - 1);
       }
       break;
     case PlanePredictor::kLeft:
-      words[0] = word_of(coding.base + UnZigZag(codes[0]));
+      out[0] = word_of(coding.base + UnZigZag(in[0]));
       VisitLeft(num_pixels, row_px,
-                [&](size_t i, size_t left) { words[i] = restored(words[left], codes[i]); });
+                [=](size_t i, size_t left) { out[i] = restored(out[left], in[i]); });
       break;
     case PlanePredictor::kLeftRatio:
-      words[0] = word_of(coding.base + UnZigZag(codes[0]));
-      VisitLeft(num_pixels, row_px, [&](size_t i, size_t left) {
-        words[i] = restored(Scale(words[left], context.guide[i], context.guide[left]), codes[i]);
+      out[0] = word_of(coding.base + UnZigZag(in[0]));
+      VisitLeft(num_pixels, row_px, [=](size_t i, size_t left) {
+        out[i] = restored(Scale(out[left], guide[i], guide[left]), in[i]);
+      });
+      break;
+    case PlanePredictor::kAbove:
+      out[0] = word_of(coding.base + UnZigZag(in[0]));
+      VisitAbove(num_pixels, row_px,
+                 [=](size_t i, size_t above) { out[i] = restored(out[above], in[i]); });
+      break;
+    case PlanePredictor::kAboveRatio:
+      out[0] = word_of(coding.base + UnZigZag(in[0]));
+      VisitAbove(num_pixels, row_px, [=](size_t i, size_t above) {
+        out[i] = restored(Scale(out[above], guide[i], guide[above]), in[i]);
       });
       break;
     case PlanePredictor::kOtherHalf:
-      for (size_t i = 0; i < num_pixels; ++i) {
-        words[i] = restored(context.other_half[i], codes[i]);
-      }
+      for (size_t i = 0; i < num_pixels; ++i) out[i] = restored(other_half[i], in[i]);
       break;
     case PlanePredictor::kOtherHalfRatio:
       for (size_t i = 0; i < num_pixels; ++i) {
-        words[i] = restored(Scale(context.other_half[i], context.guide[i], context.other_guide[i]),
-                            codes[i]);
+        out[i] = restored(Scale(other_half[i], guide[i], other_guide[i]), in[i]);
       }
       break;
   }

@@ -15,7 +15,19 @@ enum class PlanePredictor : uint8_t {
   kOtherHalf = 2,       // the same pixel's word in half A
   kLeftRatio = 3,       // left, scaled as the guide changes from left to here
   kOtherHalfRatio = 4,  // half A, scaled as the guide differs between the halves
+  kAbove = 5,           // the pixel above; in the first row the first pixel
+  kAboveRatio = 6,      // above, scaled as the guide changes from there to here
 };
+
+// What CodePlane may choose from, kNone first. Left neighbours are restored one after the other,
+// rows above for all pixels of a row at once.
+inline constexpr PlanePredictor kNoPredictors[] = {PlanePredictor::kNone};
+inline constexpr PlanePredictor kLeftPredictors[] = {
+    PlanePredictor::kNone, PlanePredictor::kLeft, PlanePredictor::kOtherHalf,
+    PlanePredictor::kLeftRatio, PlanePredictor::kOtherHalfRatio};
+inline constexpr PlanePredictor kAbovePredictors[] = {
+    PlanePredictor::kNone, PlanePredictor::kAbove, PlanePredictor::kOtherHalf,
+    PlanePredictor::kAboveRatio, PlanePredictor::kOtherHalfRatio};
 
 // How a plane was coded; enough to restore it.
 struct PlaneCoding {
@@ -40,10 +52,10 @@ struct PlaneContext {
   bool Allows(PlanePredictor predictor) const;
 };
 
-// Codes `words` with the predictor that takes the fewest bits, kNone alone unless `predict`.
-// `codes` is as long as `words`.
-PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> words, bool predict,
-                      std::span<uint32_t> codes);
+// Codes `words` with that of the predictors that takes the fewest bits. `codes` is as long as
+// `words`.
+PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> words,
+                      std::span<const PlanePredictor> predictors, std::span<uint32_t> codes);
 // The inverse, for any coding within the ranges above, allowed by the context, and any codes.
 void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
                   std::span<const uint32_t> codes, std::span<uint32_t> words);

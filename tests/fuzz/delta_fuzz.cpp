@@ -3,6 +3,7 @@
 #include <xxhash.h>
 
 #include <cstdlib>
+#include <iterator>
 
 #include "core/film/delta_codec.h"
 #include "tests/fuzz/fuzz_target.h"
@@ -11,7 +12,10 @@
 namespace tessera {
 namespace {
 
-constexpr int kShapes = 16;
+constexpr int kShapes = 16;  // of each encoding
+
+constexpr DeltaEncoding kEncodings[] = {DeltaEncoding::kPacked, DeltaEncoding::kPackedZstd,
+                                        DeltaEncoding::kPackedBlocks};
 
 struct Shape {
   PixelRect window;
@@ -22,10 +26,10 @@ struct Shape {
 
 Shape ShapeOf(uint8_t byte) {
   const SampleRange ranges[] = {{0, 1}, {0, 8}, {8, 16}, {2, 4}};
-  return {.window = PixelRect::FromSize(3, 5, byte & 1 ? 7 : 16, byte & 1 ? 3 : 8),
+  return {.window = PixelRect::FromSize(3, 5, byte & 1 ? 7 : 32, byte & 1 ? 3 : 9),
           .range = ranges[(byte >> 1) & 3],
           .feature_end = byte & 8 ? int64_t{8} : kAllFeatures,
-          .encoding = byte & 16 ? DeltaEncoding::kPackedZstd : DeltaEncoding::kPacked};
+          .encoding = kEncodings[byte / kShapes % std::size(kEncodings)]};
 }
 
 absl::StatusOr<TileStatistics> Decode(std::string_view input) {
@@ -58,7 +62,7 @@ void FuzzOne(std::string_view input) {
 
 std::vector<std::string> FuzzSeeds() {
   std::vector<std::string> seeds;
-  for (uint8_t byte = 0; byte < 2 * kShapes; ++byte) {
+  for (uint8_t byte = 0; byte < kShapes * std::size(kEncodings); ++byte) {
     const Shape shape = ShapeOf(byte);
     const std::string payload =
         EncodeDelta(SyntheticTile(byte, shape.window, shape.range, shape.feature_end),

@@ -117,7 +117,7 @@ void FuzzOne(std::string_view input) {
 
 std::vector<std::string> FuzzSeeds() {
   google::protobuf::SetLogHandler(nullptr);  // what is no UTF-8 is no news here
-  std::vector<std::string> seeds = {Conversation(1), Conversation(2)};
+  std::vector<std::string> seeds = {Conversation(1), Conversation(2), Conversation(3)};
   SimulatedFarm farm;
   for (int kind = 0; kind < 4; ++kind) {
     std::string out;

@@ -60,7 +60,7 @@ class SyntheticWorker {
       EncodedDelta encoded = EncodeDelta(
           SyntheticTile(spec.seed(), RectOf(lease.window()),
                         {lease.sample_begin(), lease.sample_end()}, delta.feature_end()),
-          DeltaEncoding::kPackedZstd);
+          DeltaEncoding::kPackedBlocks);
       delta.set_checksum(DeltaChecksum({.lease_id = lease.id(),
                                         .job = lease.job(),
                                         .tile_index = lease.tile_index(),

@@ -127,7 +127,7 @@ class WorkerSession::Impl {
 
 absl::Status WorkerSession::Impl::Run() {
   const DeltaEncoding encoding =
-      options_.same_process ? DeltaEncoding::kPacked : DeltaEncoding::kPackedZstd;
+      options_.same_process ? DeltaEncoding::kPacked : DeltaEncoding::kPackedBlocks;
   pool_ = std::make_unique<RenderPool>(options_.threads, encoding, options_.journal,
                                        [this](uint64_t task, absl::StatusOr<v1::TileDelta> delta) {
                                          Post(session_event::Rendered{task, std::move(delta)});

@@ -5,15 +5,17 @@
 #include <algorithm>
 #include <bit>
 #include <random>
+#include <span>
 #include <vector>
 
 namespace tessera {
 namespace {
 
 // Codes, cuts to bytes, joins and restores; returns the coding.
-PlaneCoding ExpectRoundTrip(const PlaneContext& context, const std::vector<uint32_t>& words) {
+PlaneCoding ExpectRoundTrip(const PlaneContext& context, const std::vector<uint32_t>& words,
+                            std::span<const PlanePredictor> predictors = kLeftPredictors) {
   std::vector<uint32_t> codes(words.size());
-  const PlaneCoding coding = CodePlane(context, words, true, codes);
+  const PlaneCoding coding = CodePlane(context, words, predictors, codes);
   std::vector<uint32_t> joined(words.size());
   for (int byte_index = 0; byte_index < coding.width_bytes; ++byte_index) {
     std::vector<char> bytes(words.size());
@@ -43,12 +45,19 @@ TEST(PlaneCodingTest, AnyWordsRoundTrip) {
       PlaneContext context;
       context.is_float = is_float;
       context.row_px = 1 + static_cast<int>(seed % 9);
-      ExpectRoundTrip(context, words);
+      const auto expect_all = [&] {
+        ExpectRoundTrip(context, words, kLeftPredictors);
+        ExpectRoundTrip(context, words, kAbovePredictors);
+        for (const PlanePredictor& predictor : kAbovePredictors) {
+          if (context.Allows(predictor)) ExpectRoundTrip(context, words, {&predictor, 1});
+        }
+      };
+      expect_all();
       context.guide = guide;
-      ExpectRoundTrip(context, words);
+      expect_all();
       context.other_half = other_half;
       context.other_guide = other_guide;
-      ExpectRoundTrip(context, words);
+      expect_all();
     }
   }
 }
@@ -73,9 +82,12 @@ TEST(PlaneCodingTest, PredictsWhatIsPredictable) {
   EXPECT_EQ(ExpectRoundTrip(context, ramp).predictor, PlanePredictor::kLeft);
   context.other_half = noise;
   EXPECT_EQ(ExpectRoundTrip(context, like_noise).predictor, PlanePredictor::kOtherHalf);
+  EXPECT_EQ(ExpectRoundTrip(context, ramp, kAbovePredictors).predictor, PlanePredictor::kAbove);
   context.other_half = {};
   context.guide = noise;
   EXPECT_EQ(ExpectRoundTrip(context, tinted).predictor, PlanePredictor::kLeftRatio);
+  EXPECT_EQ(ExpectRoundTrip(context, tinted, kAbovePredictors).predictor,
+            PlanePredictor::kAboveRatio);
   // Half A's pixel and guide are in the ratio that is wanted, while every pixel's differs.
   std::vector<uint32_t> mottled, other_mottled;
   for (size_t i = 0; i < noise.size(); ++i) {
@@ -112,14 +124,17 @@ TEST(PlaneCodingTest, PredictorsNeedTheirPlanes) {
   context.is_float = true;
   EXPECT_TRUE(context.Allows(PlanePredictor::kLeft));
   EXPECT_FALSE(context.Allows(PlanePredictor::kOtherHalf));
+  EXPECT_TRUE(context.Allows(PlanePredictor::kAbove));
   EXPECT_FALSE(context.Allows(PlanePredictor::kLeftRatio));
+  EXPECT_FALSE(context.Allows(PlanePredictor::kAboveRatio));
   context.other_half = plane;
   context.guide = plane;
   EXPECT_TRUE(context.Allows(PlanePredictor::kLeftRatio));
+  EXPECT_TRUE(context.Allows(PlanePredictor::kAboveRatio));
   EXPECT_FALSE(context.Allows(PlanePredictor::kOtherHalfRatio));
   context.other_guide = plane;
   EXPECT_TRUE(context.Allows(PlanePredictor::kOtherHalfRatio));
-  EXPECT_FALSE(context.Allows(static_cast<PlanePredictor>(5)));
+  EXPECT_FALSE(context.Allows(static_cast<PlanePredictor>(7)));
 }
 
 }  // namespace

@@ -181,7 +181,7 @@ TEST_F(WorkerSessionTest, RendersLeasesAndDrains) {
   EXPECT_EQ(ready.report().memory_bytes(), 1000);
   ASSERT_EQ(deltas.size(), 8u);
   for (const auto& [id, delta] : deltas) {
-    EXPECT_EQ(delta.encoding(), static_cast<uint32_t>(DeltaEncoding::kPackedZstd));
+    EXPECT_EQ(delta.encoding(), static_cast<uint32_t>(DeltaEncoding::kPackedBlocks));
     EXPECT_EQ(delta.rays(), 3);
     const auto tile =
         DecodeDelta(PixelRect::FromSize(delta.window().x(), delta.window().y(), 16, 16),
