@@ -1,4 +1,6 @@
 // tessera-server: a coordinator that listens.
+#include <malloc.h>
+
 #include <csignal>
 #include <fstream>
 #include <iostream>
@@ -37,6 +39,13 @@ struct Arguments {
   std::string port_file;
   bool verbose = false;
 };
+
+// The statistics of a tile come and go with every delta. They are larger than what malloc takes
+// from its heap by default, and the kernel would clear their pages each time.
+void KeepMemoryOfDeltas() {
+  mallopt(M_MMAP_THRESHOLD, 4 << 20);
+  mallopt(M_TRIM_THRESHOLD, 64 << 20);
+}
 
 void AddOptions(CLI::App& app, Arguments& arguments) {
   ServiceOptions& service = arguments.service;
@@ -85,6 +94,7 @@ absl::Status WritePorts(const std::string& path, const Service& service) {
 }
 
 int Run(int argc, char** argv) {
+  KeepMemoryOfDeltas();
   setenv("GRPC_VERBOSITY", "NONE", 0);  // its errors reach the user as statuses
   // Before any thread: all of them leave these signals to the wait below.
   sigset_t signals;

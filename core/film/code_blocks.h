@@ -1,7 +1,7 @@
-// Integers that are mostly small, in few bits that are quick to read: blocks of 256 codes, each with
-// a width of its own, eight codes side by side in a vector, and the few wider codes' high bits
+// Integers that are mostly small, in few bits that are quick to read: blocks of 256 codes with a
+// width of their own, eight codes side by side in a vector, and the few wider codes' high bits
 // apart. Lemire & Boytsov 2015, "Decoding billions of integers per second through vectorization"
-// (the vertical layout); Zukowski, Heman, Nes & Boncz 2006, "Super-scalar RAM-CPU cache compression"
+// (vertical layout); Zukowski, Heman, Nes & Boncz 2006, "Super-scalar RAM-CPU cache compression"
 // (exceptions). The layout is in docs/delta-format.md.
 #pragma once
 

@@ -387,7 +387,8 @@ absl::Status ValidateStatistics(const TileStatistics& tile) {
     }
     if (!tile.has_features()) continue;
     if (GreatestOf(tile.Counts(half, kHits)) > feature_count ||
-        GreatestOf(tile.Counts(half, kIdVotes)) > feature_count || HasDepthWithoutHits(tile, half)) {
+        GreatestOf(tile.Counts(half, kIdVotes)) > feature_count ||
+        HasDepthWithoutHits(tile, half)) {
       return Malformed("hits or votes do not fit the samples");
     }
   }

@@ -29,8 +29,8 @@ uint32_t Scale(uint32_t from, uint32_t guide, uint32_t guide_from) {
   return (scaled & ~kSignBit) < kInfinity ? scaled : from;
 }
 
-// Calls visit(pixel, above) for every pixel, in order of rows; `above` of the first row is the first
-// pixel. A row's pixels do not depend on each other.
+// Calls visit(pixel, above) for every pixel but the first, row by row; `above` of the first row is
+// the first pixel. A row's pixels do not depend on each other.
 template <typename Visitor>
 void VisitAbove(size_t num_pixels, size_t row_px, const Visitor& visit) {
   const size_t first_row_px = std::min(row_px, num_pixels);

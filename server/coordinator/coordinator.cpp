@@ -31,6 +31,10 @@ Coordinator::~Coordinator() = default;
 StepResult Coordinator::Step(Event event, Instant now) {
   now_ = now;
   result_ = {};
+  // These two come from each worker many times a second: they say what they change.
+  const bool is_frequent =
+      std::holds_alternative<DeltaEvent>(event) || std::holds_alternative<HeartbeatEvent>(event);
+  if (!is_frequent) units_changed_ = true;
   std::visit([this](auto& e) { On(e); }, event);
   ExpireLeases();
   GrantAll();
@@ -51,9 +55,8 @@ void Coordinator::On(TickEvent& event) {
   for (auto& [session, worker] : workers_) {
     std::erase_if(worker->retry_assets_ms,
                   [this](const auto& retry) { return retry.second <= now_.monotonic_ms; });
-    if (!worker->leases.empty() || worker->reserved || IsSilent(*worker)) continue;
-    if (!IsDiskFull()) Race(*worker);
   }
+  if (!IsDiskFull()) RaceIdleWorkers();
   waiting_changed_ = true;
 }
 

@@ -194,19 +194,23 @@ class Coordinator {
   void CloseWorker(SessionId session, const absl::Status& status);
   void RemoveWorker(SessionId session);
   void GrantAll();
-  bool GrantRound(bool stalled);
+  bool GrantRound(const std::vector<Worker*>& workers, bool stalled);
   bool GrantOne(Worker& worker);
   bool GrantFrom(std::vector<Job*>& jobs, Worker& worker);
   int64_t LeaseSize(const Worker& worker, const Job& job) const;
   void NoteSpeed(Worker& worker, const Job& job, const Lease& lease, const DeltaEvent& event);
   void NoteIngest(double load);
   void Grant(Worker& worker, Job& job, const Unit& unit);
-  bool Race(Worker& worker);
+  size_t LeasesMax(const Worker& worker) const;
+  void RaceIdleWorkers();
+  bool MayRace(const Lease& lease) const;
+  void Race(Worker& worker, std::vector<LeaseId>* leases);
   bool CanServe(const Worker& worker, const Job& job) const;
   void DropLease(LeaseId id, bool revoke);
   void DropLeasesOf(Job& job, const Unit& unit);
   bool NoteProgress(const v1::LeaseProgress& progress, Lease* lease);
   void Renew(LeaseId id);
+  void RenewFollowers(const Worker& worker);
   void ExpireLeases();
   bool IsSilent(const Worker& worker) const;
   bool FitsMemory(const Job& job) const;
@@ -232,6 +236,10 @@ class Coordinator {
   bool waiting_changed_ = false;           // any job's reason to wait may have changed
   std::set<JobId> waiting_changed_of_;     // these jobs' reasons may have
   std::map<SessionId, std::unique_ptr<Worker>> workers_;
+  // Who is asked at the end of a step: those of whom something was heard or whose lease has ended,
+  // or everybody once there may be units again for workers that found none.
+  std::set<SessionId> may_take_;
+  bool units_changed_ = false;
   std::map<LeaseId, Lease> leases_;
   std::set<JobId> suspicious_;        // jobs with suspects
   std::set<std::string> banned_;      // hosts that returned wrong bits

@@ -452,6 +452,7 @@ void Coordinator::Fail(Job& job, const std::string& error) {
 void Coordinator::SetState(Job& job, v1::JobState state) {
   job.record.set_state(state);
   job.record.set_waiting("");
+  units_changed_ = true;
   if (state == v1::JOB_STATE_RUNNING && !job.record.has_start_time()) {
     SetTime(now_.unix_ms, job.record.mutable_start_time());
   }

@@ -17,7 +17,6 @@ namespace {
 // Jobs of one priority that share the workers; later ones wait until these hand out nothing.
 constexpr size_t kSharingJobsMax = 8;
 constexpr int64_t kAssetRetryMs = 5000;
-constexpr int64_t kMemoryUnit = int64_t{1} << 20;
 // Of a scene of which nothing is known yet.
 constexpr double kUnknownNsPerSample = 5000;
 // Shares of the server's time that deltas take: leases grow above the one, shrink below the other.
@@ -66,6 +65,7 @@ Coordinator::Worker* Coordinator::FindWorker(SessionId session) {
     return nullptr;
   }
   it->second->seen = now_;
+  may_take_.insert(session);
   return it->second.get();
 }
 
@@ -139,6 +139,14 @@ void Coordinator::Renew(LeaseId id) {
   expiries_.erase({lease.expires_ms, id});
   lease.expires_ms = now_.monotonic_ms + config_.lease_ttl_ms;
   expiries_.insert({lease.expires_ms, id});
+}
+
+// The worker's deltas arrive one after the other: what is next to come is not late because the
+// server has much to take in, and has nothing else to say for itself meanwhile. A render does.
+void Coordinator::RenewFollowers(const Worker& worker) {
+  for (const LeaseId id : worker.leases) {
+    if (leases_.at(id).state != v1::LeaseProgress::STATE_RENDERING) Renew(id);
+  }
 }
 
 // A render renews its lease by the samples that it has done since it was last heard of, not by the
@@ -250,27 +258,52 @@ void Coordinator::CountFilm(Job& job) {
   const bool holds = job.film->samples() > 0 || job.samples_under_way > 0;
   if (holds == job.holds_film) return;
   job.holds_film = holds;
+  units_changed_ = true;
   film_bytes_ += holds ? FilmBytesOf(job.grid) : -FilmBytesOf(job.grid);
 }
 
 void Coordinator::GrantAll() {
-  if (order_.empty() || IsDiskFull()) return;
+  const std::set<SessionId> may_take = std::exchange(may_take_, {});
+  const bool all_may_take = std::exchange(units_changed_, false) || !suspicious_.empty();
+  if (order_.empty()) return;
+  if (IsDiskFull()) {
+    units_changed_ = true;  // everybody is asked once it is not
+    return;
+  }
   GrantSuspects();
+  std::vector<Worker*> workers;
+  if (all_may_take) {
+    for (const auto& [session, worker] : workers_) workers.push_back(worker.get());
+  } else {
+    for (const SessionId session : may_take) {
+      const auto found = workers_.find(session);
+      if (found != workers_.end()) workers.push_back(found->second.get());
+    }
+  }
   for (const bool stalled : {false, true}) {
-    while (GrantRound(stalled)) {
+    while (GrantRound(workers, stalled)) {
     }
   }
 }
 
 // One lease for each worker that has room, so that a short queue spreads over all of them.
-bool Coordinator::GrantRound(bool stalled) {
+bool Coordinator::GrantRound(const std::vector<Worker*>& workers, bool stalled) {
   bool granted = false;
-  for (auto& [session, worker] : workers_) {
+  for (Worker* const worker : workers) {
     if (worker->stalled != stalled || worker->is_alone || worker->reserved) continue;
-    if (IsSilent(*worker) || worker->leases.size() >= worker->leases_max()) continue;
+    if (IsSilent(*worker) || worker->leases.size() >= LeasesMax(*worker)) continue;
     if (GrantOne(*worker)) granted = true;
   }
   return granted;
+}
+
+// One for each thread, and a few that wait for one to hide latency: the fewer, the longer leases
+// last, for each of them is a delta that may be on its way while the server has enough to take in.
+size_t Coordinator::LeasesMax(const Worker& worker) const {
+  if (worker.stalled) return 1;
+  const auto threads = static_cast<size_t>(worker.hello.threads());
+  const auto ahead = static_cast<double>(std::max<size_t>(2, threads / 2));
+  return threads + static_cast<size_t>(ahead / lease_scale_);
 }
 
 bool Coordinator::GrantOne(Worker& worker) {
@@ -385,25 +418,40 @@ void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
   Send(worker.session, std::move(message));
 }
 
-// Gives an idle worker the oldest unit that another one has had for long; the first delta wins.
-bool Coordinator::Race(Worker& worker) {
-  const Lease* oldest = nullptr;
+// Gives each idle worker the oldest unit that another one has had for long; the first delta wins.
+void Coordinator::RaceIdleWorkers() {
+  std::vector<LeaseId> slow;
   for (const auto& [id, lease] : leases_) {
-    const Job& job = *jobs_.at(lease.job);
     if (now_.monotonic_ms - lease.issued_ms < config_.lease_ttl_ms / 4) break;
-    if (lease.session == worker.session || job.leases_of_unit.at(lease.unit).size() > 1) continue;
-    // A suspect is raced late, and alone: if it is to blame, both crashes count.
-    const bool is_suspect = job.suspects.contains(lease.unit);
-    if (is_suspect && now_.monotonic_ms - lease.issued_ms < 4 * config_.lease_ttl_ms) continue;
-    if (!CanServe(worker, job)) continue;
-    oldest = &lease;
-    break;
+    if (MayRace(lease)) slow.push_back(id);
   }
-  if (oldest == nullptr) return false;
-  worker.is_alone = jobs_.at(oldest->job)->suspects.contains(oldest->unit);
-  Grant(worker, *jobs_.at(oldest->job), Unit(oldest->unit));
+  for (const auto& [session, worker] : workers_) {
+    if (slow.empty()) return;
+    if (worker->leases.empty() && !worker->reserved && !IsSilent(*worker)) Race(*worker, &slow);
+  }
+}
+
+// A suspect is raced late, and alone: if it is to blame, both crashes count.
+bool Coordinator::MayRace(const Lease& lease) const {
+  const Job& job = *jobs_.at(lease.job);
+  if (job.leases_of_unit.at(lease.unit).size() > 1) return false;
+  return !job.suspects.contains(lease.unit) ||
+         now_.monotonic_ms - lease.issued_ms >= 4 * config_.lease_ttl_ms;
+}
+
+// The first of `leases` that the worker may race; it is then none of them any more.
+void Coordinator::Race(Worker& worker, std::vector<LeaseId>* leases) {
+  const auto found = std::ranges::find_if(*leases, [&](LeaseId id) {
+    const Lease& lease = leases_.at(id);
+    return lease.session != worker.session && CanServe(worker, *jobs_.at(lease.job));
+  });
+  if (found == leases->end()) return;
+  const Lease& slow = leases_.at(*found);
+  leases->erase(found);
+  Job& job = *jobs_.at(slow.job);
+  worker.is_alone = job.suspects.contains(slow.unit);
+  Grant(worker, job, Unit(slow.unit));
   leases_.rbegin()->second.is_race = true;
-  return true;
 }
 
 void Coordinator::DropLease(LeaseId id, bool revoke) {
@@ -420,10 +468,12 @@ void Coordinator::DropLease(LeaseId id, bool revoke) {
   std::erase(others, id);
   if (others.empty()) {
     job.leases_of_unit.erase(lease.unit);
+    units_changed_ = true;
     if (job.queue != nullptr && !KeepUnit(job, lease.unit)) job.queue->Return(lease.unit);
   }
   const auto worker = workers_.find(lease.session);
   if (worker != workers_.end()) worker->second->leases.erase(id);
+  may_take_.insert(lease.session);
   if (!revoke) return;
   v1::CoordinatorMessage message;
   message.mutable_revoke()->set_id(id);
@@ -463,92 +513,6 @@ void Coordinator::ExpireLeases() {
     ++totals_.leases_expired;
     waiting_changed_ = true;
   }
-}
-
-// All jobs only when workers or memory have changed: there may be thousands.
-void Coordinator::UpdateWaiting() {
-  if (waiting_changed_) {
-    for (const auto& [priority, id] : order_) UpdateWaitingOf(*jobs_.at(id));
-  } else {
-    for (const JobId id : waiting_changed_of_) {
-      const auto job = jobs_.find(id);
-      if (job != jobs_.end() && job->second->IsOpen()) UpdateWaitingOf(*job->second);
-    }
-  }
-  waiting_changed_ = false;
-  waiting_changed_of_.clear();
-}
-
-void Coordinator::UpdateWaitingOf(Job& job) {
-  std::string reason = WaitingReason(job);
-  if (reason == job.record.waiting()) return;
-  job.record.set_waiting(std::move(reason));
-  Touch(job);
-}
-
-std::string Coordinator::WaitingReason(const Job& job) const {
-  if (!job.leases_of_unit.empty() || job.evaluating) return "";
-  if (IsDiskFull()) {
-    return absl::StrCat("the server's disk is full, and what was rendered could not be kept: free "
-                        "some space or delete jobs, it goes on by itself; ", disk_full_);
-  }
-  if (workers_.empty()) {
-    return "no worker is connected: start tessera-worker with this server's address";
-  }
-  return ReasonOfWorkers(job);
-}
-
-// Stops at the first worker that could: of many jobs that wait, most wait for their turn only.
-std::string Coordinator::ReasonOfWorkers(const Job& job) const {
-  const std::string& isa = job.record.settings().isa();
-  int small = 0, failing = 0, other_isa = 0, other_arithmetic = 0;
-  bool able = false;
-  int64_t memory_max = 0;
-  for (const auto& [session, worker] : workers_) {
-    const std::string arithmetic = worker->ArithmeticOf(isa);
-    if (worker->draining) continue;
-    if (job.LacksMemory(worker->hello)) {
-      ++small;
-      memory_max = std::max(memory_max, worker->hello.memory_bytes());
-    } else if (arithmetic.empty()) {
-      ++other_isa;
-    } else if (!job.Admits(arithmetic)) {
-      ++other_arithmetic;
-    } else if (worker->RetriesLater(job.id, now_.monotonic_ms)) {
-      ++failing;
-    } else {
-      able = true;
-      break;
-    }
-  }
-  if (able && !FitsMemory(job)) {
-    return kFilmsFull;
-  }
-  if (able && !job.audits_waiting.empty()) {
-    return "its samples wait for a worker of another host to render them, too (--audit-rate): "
-           "start one there";
-  }
-  if (able) return "all workers are busy with jobs that come first";
-  if (failing > 0) return absl::StrCat("a worker could not fetch an asset: ", job.last_decline);
-  if (small > 0) {
-    return absl::StrCat("the scene needs more memory than any of the ", small,
-                        " connected workers has (at most ", memory_max / kMemoryUnit,
-                        " MiB): start a worker with more --memory",
-                        job.last_decline.empty() ? "" : "; ", job.last_decline);
-  }
-  if (other_arithmetic > 0) {
-    const bool has_samples = job.film->samples() > 0 || job.record.settings().arithmetic().empty();
-    return absl::StrCat("no connected worker computes in the arithmetic ",
-                        has_samples ? "of its samples, " : "that it asks for, ",
-                        job.PinnedArithmetic(), ", but ", other_arithmetic, " in another: start "
-                        "one on a processor like those of that arithmetic, or submit it anew (a "
-                        "replay with --arithmetic any, for bits that may differ)");
-  }
-  if (other_isa > 0) {
-    return absl::StrCat("no connected worker runs ", isa, ": start one that does, or submit with "
-                        "another --isa");
-  }
-  return "all connected workers are leaving: start another tessera-worker";
 }
 
 }  // namespace tessera

@@ -90,7 +90,11 @@ void Coordinator::On(DeltaEvent& event) {
   const bool was_leased = lease != leases_.end() && lease->second.session == event.session;
   if (was_leased) {
     NoteSpeed(*worker, *job, lease->second, event);
+    RenewFollowers(*worker);
+    const bool units_changed = units_changed_;
     DropLease(event.delta.lease_id(), false);
+    // Its unit goes into the film, not to somebody else.
+    if (result_.status.ok()) units_changed_ = units_changed;
   }
   if (!result_.status.ok()) {
     ++totals_.deltas_refused;
@@ -105,6 +109,7 @@ void Coordinator::On(DeltaEvent& event) {
   const std::string host = worker->hello.host();
   std::vector<std::string> liars;
   if (IsAudited(*job, unit)) {
+    units_changed_ = true;
     result_.status = Hear(*job, unit, host, event, &liars);
     if (!result_.status.ok()) return;
   }
@@ -153,6 +158,7 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
 }
 
 void Coordinator::OnPassCommitted(Job& job) {
+  units_changed_ = true;
   if (job.queue->Done()) {
     Finish(job, job.stop_reason);
     return;

@@ -145,11 +145,6 @@ struct Coordinator::Worker {
     if (found == classes.end()) return std::string();
     return hello.arithmetic(static_cast<int>(found - classes.begin()));
   }
-  size_t leases_max() const {
-    if (stalled) return 1;
-    const auto threads = static_cast<size_t>(hello.threads());
-    return threads + std::max<size_t>(2, threads / 2);
-  }
 };
 
 }  // namespace tessera
