@@ -5,6 +5,7 @@
 //   R,G,B]
 //     [--size WxH] [--spp N] [--threads N] [--branches N] [--out FILE.exr] [--png FILE.png]
 //     [--reference FILE.exr]
+// Built as ablation_bench (`ninja ablation_bench`): [--without STEP], a step of ablation.h.
 #include <sys/resource.h>
 
 #include <CLI/CLI.hpp>
@@ -13,6 +14,7 @@
 #include <chrono>
 #include <cstdio>
 #include <ctime>
+#include <map>
 #include <memory>
 #include <string>
 #include <thread>
@@ -25,6 +27,7 @@
 #include "core/image/exr_writer.h"
 #include "core/image/image_reader.h"
 #include "core/image/png_writer.h"
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/path_tracer.h"
 
 namespace tessera {
@@ -196,6 +199,28 @@ absl::Status Run(const Options& options) {
                                    : CompareBrightness(planes, options.reference);
 }
 
+#ifdef TESSERA_ABLATION
+// --without STEP leaves one out.
+void AddSteps(CLI::App* app) {
+  static const std::map<std::string, bool PathTracerSteps::*> kByName = {
+      {"owen_sobol", &PathTracerSteps::owen_sobol},
+      {"mis", &PathTracerSteps::mis},
+      {"sky_by_cells", &PathTracerSteps::sky_by_cells},
+      {"guide", &PathTracerSteps::guide},
+      {"light_tree", &PathTracerSteps::light_tree},
+      {"visible_normals", &PathTracerSteps::visible_normals},
+      {"energy_compensation", &PathTracerSteps::energy_compensation},
+      {"roulette", &PathTracerSteps::roulette},
+      {"second_light_sample", &PathTracerSteps::second_light_sample},
+      {"splitting", &PathTracerSteps::splitting},
+  };
+  app->add_option_function<std::string>(
+         "--without",
+         [](const std::string& name) { g_path_tracer_steps.*kByName.at(name) = false; })
+      ->check(CLI::IsMember(kByName));
+}
+#endif
+
 }  // namespace
 }  // namespace tessera
 
@@ -216,6 +241,9 @@ int main(int argc, char** argv) {
   app.add_option("--out", options.out);
   app.add_option("--png", options.png);
   app.add_option("--reference", options.reference);
+#ifdef TESSERA_ABLATION
+  tessera::AddSteps(&app);
+#endif
   CLI11_PARSE(app, argc, argv);
   if (std::sscanf(options.size.c_str(), "%dx%d", &options.width, &options.height) != 2) {
     std::fprintf(stderr, "--size '%s' is not WxH\n", options.size.c_str());

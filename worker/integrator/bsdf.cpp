@@ -140,7 +140,7 @@ BsdfValue Bsdf::EvaluateReflection(const V3f& wi) const {
       p_reflect += p_glass_ * glass;
     }
     value.f_cos += fresnel * (density * g2);
-    value.pdf += p_reflect * density / (1 + lambda_o_);
+    value.pdf += GgxNormalPdf(p_reflect * density, h, wo_, o_h, lambda_o_);
   }
   return value;
 }
@@ -150,11 +150,12 @@ BsdfValue Bsdf::EvaluateThinTransmission(const V3f& wi) const {
   const V3f mirrored(wi.x, wi.y, -wi.z);
   const V3f h = Unit(wo_ + mirrored);
   float cos_t;
-  const float transmitted = 1 - GlassFresnel(Clamp01(wo_.dot(h)), &cos_t);
+  const float o_h = Clamp01(wo_.dot(h));
+  const float transmitted = 1 - GlassFresnel(o_h, &cos_t);
   const float density = GgxD(h, alpha_) / (4 * wo_.z);
   const float g2 = 1 / (1 + lambda_o_ + GgxLambda(mirrored, alpha_));
   return {base_color_ * (glass_weight_ * glass_scale_ * transmitted * density * g2),
-          p_glass_ * transmitted * density / (1 + lambda_o_)};
+          GgxNormalPdf(p_glass_ * transmitted * density, h, wo_, o_h, lambda_o_)};
 }
 
 BsdfValue Bsdf::EvaluateRefraction(const V3f& wi) const {
@@ -172,11 +173,11 @@ BsdfValue Bsdf::EvaluateRefraction(const V3f& wi) const {
   const float density = GgxD(h, alpha_) * o_h / wo_.z * jacobian;
   const float g2 = 1 / (1 + lambda_o_ + GgxLambda(wi, alpha_));
   return {base_color_ * (glass_weight_ * glass_scale_ * transmitted * density * g2),
-          p_glass_ * transmitted * density / (1 + lambda_o_)};
+          GgxNormalPdf(p_glass_ * transmitted * density, h, wo_, o_h, lambda_o_)};
 }
 
 bool Bsdf::SampleGlass(float u_lobe, const V2f& u, V3f* wi) const {
-  const V3f h = SampleGgxVisibleNormal(wo_, alpha_, u);
+  const V3f h = SampleGgxNormal(wo_, alpha_, u);
   const float o_h = Clamp01(wo_.dot(h));
   float cos_t;
   const float reflected = GlassFresnel(o_h, &cos_t);
@@ -202,7 +203,7 @@ bool Bsdf::SampleDirection(float u_lobe, const V2f& u, V3f* wi) const {
   }
   if (u_lobe < p_diffuse_ + p_specular_ || p_glass_ == 0) {
     if (p_specular_ == 0) return false;
-    const V3f h = SampleGgxVisibleNormal(wo_, alpha_, u);
+    const V3f h = SampleGgxNormal(wo_, alpha_, u);
     *wi = h * (2 * wo_.dot(h)) - wo_;
     return wi->z > 0;
   }

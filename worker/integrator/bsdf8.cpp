@@ -99,7 +99,7 @@ Bsdf8::Value Bsdf8::Evaluate(const Vec8& wi) const {
   const Vec8 fresnel = f0_ * (1 - schlick) + f90_ * schlick;
   const Int8 has_specular = above & (p_specular_ > 0);
   f_cos = Select8(has_specular, f_cos + fresnel * (density * g2), f_cos);
-  pdf = has_specular != 0 ? pdf + p_specular_ * density / (1 + lambda_o_) : pdf;
+  pdf = has_specular != 0 ? pdf + GgxNormalPdf(p_specular_ * density, h, wo_, o_h, lambda_o_) : pdf;
   return {f_cos, pdf};
 }
 
@@ -107,7 +107,7 @@ Bsdf8::Sampled Bsdf8::Sample(Float8 u_lobe, Float8 u_x, Float8 u_y) const {
   const SinCos8 phi = SinCosTurns(u_x);
   const Float8 r = Sqrt8(u_y);
   const Vec8 diffuse = {r * phi.cos, r * phi.sin, Sqrt8(1 - u_y)};
-  const Vec8 h = SampleGgxVisibleNormal(wo_, alpha_, phi, u_y);
+  const Vec8 h = SampleGgxNormal(wo_, alpha_, phi, u_y);
   const Vec8 reflected = h * (2 * Dot8(wo_, h)) - wo_;
   const Int8 is_diffuse = u_lobe < p_diffuse_;
   Sampled sampled;

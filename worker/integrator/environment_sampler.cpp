@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/cumulative_distribution.h"
 #include "worker/integrator/onb.h"
 #include "worker/integrator/portable_math.h"
@@ -36,6 +37,7 @@ inline Float8 SpreadCosine(Float8 cosine) {
 
 // Of cells with this light, of which the share `seen` arrives.
 inline Float8 CellWeight(Float8 light, Float8 cosine, Float8 seen) {
+  if (!Steps().sky_by_cells) return light;
   return light * SpreadCosine(cosine) * (seen + kVisibilityFloor);
 }
 
@@ -165,7 +167,7 @@ void EnvironmentSampler::Look(const V3f& normal, bool transmits, const SkyVisibi
   view->normal = normal;
   view->visibility = visibility != nullptr ? visibility : &kAllSeen;
   view->transmits = transmits;
-  view->by_cosine = uniform_ && visibility == nullptr && !transmits;
+  view->by_cosine = uniform_ && visibility == nullptr && !transmits && Steps().sky_by_cells;
   if (view->by_cosine) {
     view->total = static_cast<float>(irradiance_) / 4;
   } else if (transmits) {

@@ -6,6 +6,7 @@
 #include <cstring>
 #include <limits>
 
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/portable_math.h"
 
 namespace tessera {
@@ -275,8 +276,9 @@ float LightBvh::Weigh(const Node& node, const LightReceiver& receiver, Lanes& we
   sent = inside ? one : sent;
   received = inside ? one : received;
   const Float8 nearest2 = Max(distance2, radius * radius * kNearShare);
-  const Float8 importance =
+  Float8 importance =
       Min(Load8(node.intensity) * received * sent / nearest2, zero + kImportanceMax);
+  if (!Steps().light_tree) importance = Min(Load8(node.intensity), zero + kImportanceMax);
   std::memcpy(weights, &importance, sizeof(importance));
   float total = 0;
   for (float w : weights) total += w;

@@ -145,7 +145,8 @@ void MaterialLayers::AddClearcoat(const V3f& wi, BsdfValue* value) const {
   const float g2 = 1 / (1 + clearcoat_lambda_o_ + GgxLambda(local_wi, clearcoat_alpha_));
   const float fresnel = kClearcoatF0 + (1 - kClearcoatF0) * SchlickWeight(o_h);
   value->f_cos += V3f(clearcoat_weight_ * fresnel * density * g2);
-  value->pdf += p_clearcoat_ * density / (1 + clearcoat_lambda_o_);
+  value->pdf += GgxNormalPdf(p_clearcoat_ * density, h, clearcoat_wo_,
+                             Clamp01(clearcoat_wo_.dot(h)), clearcoat_lambda_o_);
 }
 
 void MaterialLayers::Cover(const V3f& wi, BsdfValue* value) const {
@@ -161,7 +162,7 @@ void MaterialLayers::Cover(const V3f& wi, BsdfValue* value) const {
 
 MaterialLayers::Choice MaterialLayers::SampleLayer(float* u_lobe, const V2f& u, V3f* wi) const {
   if (*u_lobe < p_clearcoat_) {
-    const V3f h = SampleGgxVisibleNormal(clearcoat_wo_, clearcoat_alpha_, u);
+    const V3f h = SampleGgxNormal(clearcoat_wo_, clearcoat_alpha_, u);
     const V3f local_wi = h * (2 * clearcoat_wo_.dot(h)) - clearcoat_wo_;
     *wi = Onb(clearcoat_normal_).ToWorld(local_wi);
     return local_wi.z > 0 && wi->z > 0 ? Choice::kLayer : Choice::kNothing;

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/float8_math.h"
 #include "worker/integrator/portable_math.h"
 
@@ -66,6 +67,28 @@ inline Vec8 SampleGgxVisibleNormal(const Vec8& wo, Float8 alpha, const SinCos8& 
   const Float8 r = Sqrt8(Clamp01(1 - z * z));
   const Vec8 h = {r * phi.cos + o.x, r * phi.sin + o.y, z + o.z};
   return Unit8({h.x * alpha, h.y * alpha, Max8(h.z, Spread8(1e-12f))});
+}
+
+// The normals that a surface is sampled by, and the factor that makes their density of
+// D(h) / wo.z max(0, wo.h): Steps() may leave visibility out (Walter et al. 2007, eq. 35-36). Of
+// both, Real and Vec are for one number or for eight.
+inline Imath::V3f SampleGgxNormal(const Imath::V3f& wo, float alpha, const Imath::V2f& u) {
+  if (Steps().visible_normals) return SampleGgxVisibleNormal(wo, alpha, u);
+  const SinCos<float> phi = SinCosTurns(u.x);
+  const float r = alpha * std::sqrt(u.y / (1 - u.y));
+  return Unit({r * phi.cos, r * phi.sin, 1});
+}
+
+inline Vec8 SampleGgxNormal(const Vec8& wo, Float8 alpha, const SinCos8& phi, Float8 u_y) {
+  if (Steps().visible_normals) return SampleGgxVisibleNormal(wo, alpha, phi, u_y);
+  const Float8 r = alpha * Sqrt8(u_y / (1 - u_y));
+  return Unit8({r * phi.cos, r * phi.sin, Spread8(1)});
+}
+
+template <typename Real, typename Vec>
+Real GgxNormalPdf(Real density, const Vec& h, const Vec& wo, Real o_h, Real lambda_o) {
+  if (Steps().visible_normals) return density / (1 + lambda_o);
+  return density * h.z * wo.z / (o_h + 1e-12f);
 }
 
 // Schlick 1994: the weight (1 - cos)^5 of F90.

@@ -11,6 +11,7 @@
 #include "core/base/check.h"
 #include "core/film/pixel_folder.h"
 #include "core/film/pixel_sample.h"
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/branch_pilot.h"
 #include "worker/integrator/light_guide.h"
 #include "worker/integrator/path_walker.h"
@@ -73,7 +74,8 @@ absl::Status PathTracer::Build(std::unique_ptr<Scene> scene, Impl* impl) {
   impl->lights =
       std::make_unique<LightSampler>(*s, *impl->surfaces, impl->environment.get(), radius);
   impl->camera = std::make_unique<CameraRays>(s->camera, settings.width, settings.height);
-  if (impl->lights->has_group(kEnvironmentGroup) || impl->lights->num_groups() > 1) {
+  if (Steps().guide &&
+      (impl->lights->has_group(kEnvironmentGroup) || impl->lights->num_groups() > 1)) {
     impl->guide =
         LightGuide::Learn({*impl->surfaces, *impl->embree, *impl->lights, impl->environment.get(),
                            *impl->camera, settings.width, settings.height});
@@ -83,8 +85,12 @@ absl::Status PathTracer::Build(std::unique_ptr<Scene> scene, Impl* impl) {
                           *impl->lights,   *impl->camera, settings.max_depth};
   impl->solids = NestedSolids::Find(*s, *impl->surfaces);
   parts.solids = impl->solids.get();
-  parts.branches = settings.branches != 0 ? settings.branches
-                                          : ChooseBranches(parts, settings.width, settings.height);
+  if (!Steps().mis) parts.strategy = LightStrategy::kLightsOnly;
+  if (!Steps().second_light_sample) parts.first_light_samples = 1;
+  parts.has_roulette = Steps().roulette;
+  parts.branches = settings.branches;
+  if (!Steps().splitting) parts.branches = 1;
+  if (parts.branches == 0) parts.branches = ChooseBranches(parts, settings.width, settings.height);
   impl->branches = parts.branches;
   impl->walker = std::make_unique<PathWalker>(parts);
   return absl::OkStatus();

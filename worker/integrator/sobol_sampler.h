@@ -10,6 +10,8 @@
 #include <array>
 #include <cstdint>
 
+#include "worker/integrator/ablation.h"
+
 namespace tessera {
 
 // Bijective 64-bit finaliser (Stafford 2011, variant 13, as in SplitMix64).
@@ -112,6 +114,11 @@ class SequenceSeeds {
   std::array<uint32_t, 2 * (kKept + kGroupsAtOnce)> value_;
 };
 
+// What takes the sequence's place where Steps() leave it out.
+inline uint32_t IndependentBits(uint32_t index, uint32_t seed) {
+  return static_cast<uint32_t>(MixBits(uint64_t{seed} << 32 | index) >> 32);
+}
+
 class SobolSampler {
  public:
   // Sample `sample_index` of pixel (x, y): point sample_index >> 1 of half sample_index & 1 (C1).
@@ -142,6 +149,10 @@ class SobolSampler {
   // Two numbers in [0, 1) of dimension group `group`.
   Imath::V2f Get2D(uint32_t group) const {
     const GroupSeeds seeds(key_, group);
+    if (!Steps().owen_sobol) {
+      return {UnitFloat(IndependentBits(index_reversed_, seeds.value[0])),
+              UnitFloat(IndependentBits(index_reversed_, seeds.value[1]))};
+    }
     const uint32_t index = ReverseBits(ScrambleReversed(index_reversed_, seeds.index));
     // Dimension 0 is the bit-reversed index, so its reversal is the index itself.
     const uint32_t u = ScrambleReversed(index, seeds.value[0]);
@@ -164,6 +175,11 @@ class SobolSampler {
     void Get2D(float (&u)[kLanes], float (&v)[kLanes]) const {
       alignas(32) int32_t bits[2][kLanes];
       for (size_t i = 0; i < kLanes; ++i) {
+        if (!Steps().owen_sobol) {
+          bits[0][i] = static_cast<int32_t>(IndependentBits(samples_[i], first_seeds_[i]) >> 8);
+          bits[1][i] = static_cast<int32_t>(IndependentBits(samples_[i], second_seeds_[i]) >> 8);
+          continue;
+        }
         const uint32_t index = ReverseBits(ScrambleReversed(samples_[i], index_seeds_[i]));
         bits[0][i] =
             static_cast<int32_t>(ReverseBits(ScrambleReversed(index, first_seeds_[i])) >> 8);
@@ -193,6 +209,10 @@ class SobolSampler {
     alignas(32) float numbers[kLanes];
     alignas(32) static constexpr uint32_t kSecond[kLanes] = {0, ~0u, 0, ~0u, 0, ~0u, 0, ~0u};
     for (int i = 0; i < kLanes; ++i) {
+      if (!Steps().owen_sobol) {
+        bits[i] = IndependentBits(index_reversed_, value_seeds[i]) >> 8;
+        continue;
+      }
       const uint32_t index = ReverseBits(ScrambleReversed(index_reversed_, index_seeds[i]));
       const uint32_t other = SobolDimension1Reversed(index) & kSecond[i];
       bits[i] = ReverseBits(ScrambleReversed((index & ~kSecond[i]) | other, value_seeds[i])) >> 8;

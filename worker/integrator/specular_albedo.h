@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/lazy_rows.h"
 #include "worker/integrator/portable_math.h"
 
@@ -28,6 +29,7 @@ inline constexpr float kCompensationMarginShare = 0.004f, kCompensationMarginNoi
 
 // 1 / albedo, rather a little less: a lobe that is scaled by it conserves energy and does not gain.
 inline float CompensationOf(float albedo) {
+  if (!Steps().energy_compensation) return 1;
   const float missing = 1 / std::max(albedo, 1e-3f) - 1;
   return 1 + std::max(0.f, missing * (1 - kCompensationMarginShare) - kCompensationMarginNoise);
 }

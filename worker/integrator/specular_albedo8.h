@@ -3,6 +3,7 @@
 
 #include <array>
 
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/float8_math.h"
 #include "worker/integrator/specular_albedo.h"
 
@@ -58,6 +59,7 @@ class SpecularAlbedo8 {
   using RowPointers = std::array<const SpecularAlbedoTable::Row*, kFloat8Lanes>;
 
   static Float8 CompensationOf8(Float8 albedo) {
+    if (!Steps().energy_compensation) return Spread8(1);
     const Float8 missing = 1 / Max8(albedo, Spread8(1e-3f)) - 1;
     return 1 + Max8(missing * (1 - kCompensationMarginShare) - kCompensationMarginNoise, Float8{});
   }
