@@ -4,6 +4,7 @@
 #include <csignal>
 #include <fstream>
 #include <iostream>
+#include <map>
 
 #include <CLI/CLI.hpp>
 #include <fmt/core.h>
@@ -75,6 +76,14 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
   app.add_option("--tile-size", service.tile_size, "Of jobs that name none")->capture_default_str();
   app.add_option("--filter-threads", service.filter_threads, "That denoise; 0 = all cores")
       ->capture_default_str();
+  app.add_option("--filter-on", service.filter_on,
+                 "Where pictures are filtered: server; auto = workers help while more is to be "
+                 "done than this machine soon clears; workers = as much as they take")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, FilterOn>{
+          {"server", FilterOn::kServer},
+          {"auto", FilterOn::kAuto},
+          {"workers", FilterOn::kWorkers}}))
+      ->default_str("auto");
   app.add_option("--port-file", arguments.port_file,
                  "Writes the ports that were chosen: GRPC=N and HTTP=N, a line each");
   app.add_option("--tls-cert", service.tls.cert, "Certificate chain (PEM): speaks TLS");

@@ -18,6 +18,7 @@
 #include "server/http/http_server.h"
 #include "server/job_saver.h"
 #include "server/log.h"
+#include "server/picture/filter_desk.h"
 #include "server/picture/picture_service.h"
 #include "server/restore.h"
 #include "server/rpc/asset_service.h"
@@ -71,6 +72,9 @@ absl::Status CheckOptions(const ServiceOptions& options) {
   return absl::OkStatus();
 }
 
+// With --filter-on workers only those that hang or are lost are not waited for.
+constexpr double kFilterPatienceSeconds = 20;
+
 int64_t HalfOfMemory() {
   return int64_t{sysconf(_SC_PHYS_PAGES)} * sysconf(_SC_PAGESIZE) / 2;
 }
@@ -104,7 +108,10 @@ class Service::Impl : public EffectSink {
   void On(const JobChangedEffect& e) { watchers_->Notify(e.job); }
   void On(const TileChangedEffect& e) { pictures_->TileChanged(e.job, e.tile); }
   void On(const SaveJobEffect& e) { saver_->Save(e.job, e.with_film); }
-  void On(const BanEffect& e) { saver_->SaveBan(e.host, e.reason); }
+  void On(const BanEffect& e) {
+    saver_->SaveBan(e.host, e.reason);
+    pictures_->Distrust(e.host);  // what it has filtered is filtered again
+  }
   void On(const RemoveJobEffect& e) {
     saver_->Remove(e.job);
     pictures_->Remove(e.job);
@@ -112,6 +119,7 @@ class Service::Impl : public EffectSink {
   }
   void On(const EvaluatePictureEffect& e) { pictures_->Evaluate(e.job); }
   void On(const FinishJobEffect& e) { pictures_->Finish(e.job); }
+  void On(const FilterAnswerEffect& e) { desk_->Answer(e); }
 
   // Declared in the order in which they are made; destroyed in reverse.
   std::unique_ptr<DataDir> data_dir_;
@@ -124,6 +132,7 @@ class Service::Impl : public EffectSink {
   std::unique_ptr<WatchHub> watchers_;
   Access access_;
   std::unique_ptr<CoordinatorHost> host_;
+  std::unique_ptr<FilterDesk> desk_;
   std::unique_ptr<PictureService> pictures_;
   std::unique_ptr<JobService> job_service_;
   std::unique_ptr<AssetService> asset_service_;
@@ -254,8 +263,16 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
       .removed = [this](JobId job) { pictures_->RemoveWatcher(job); }});
   host_ = std::make_unique<CoordinatorHost>(config_, *this);
   const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
+  desk_ = std::make_unique<FilterDesk>(
+      FilterDeskOptions{options.filter_on, options.audit_rate, config_.audit_seed,
+                        options.filter_on == FilterOn::kWorkers ? kFilterPatienceSeconds : 0},
+      [this](Event event) { host_->Post(std::move(event)); },
+      [this](JobId job) {
+        return host_->Read([&](const Coordinator& c) { return c.FilterRoom(job, Now()); });
+      });
   pictures_ = std::make_unique<PictureService>(
-      MakePictureSource(), options.filter_threads > 0 ? options.filter_threads : cores);
+      MakePictureSource(), options.filter_threads > 0 ? options.filter_threads : cores,
+      desk_.get());
   job_service_ =
       std::make_unique<JobService>(*host_, *assets_, *watchers_, config_.defaults,
                                    JobKeeper{[this](JobId job) { return saver_->SaveNow(job); },
@@ -264,7 +281,7 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   asset_service_ = std::make_unique<AssetService>(*assets_, access_);
   image_service_ = std::make_unique<ImageService>(
       *host_, *pictures_, [this](JobId job) { return FilmOf(job); }, access_);
-  worker_service_ = std::make_unique<WorkerService>(*host_, *sessions_, access_);
+  worker_service_ = std::make_unique<WorkerService>(*host_, *sessions_, *desk_, access_);
   saver_->Start(host_.get());
 }
 

@@ -10,6 +10,7 @@
 #include <grpcpp/channel.h>
 
 #include "absl/status/statusor.h"
+#include "server/picture/filter_desk.h"
 #include "server/security/tls.h"
 
 namespace tessera {
@@ -20,6 +21,7 @@ struct ServiceOptions {
   std::string data_dir;            // empty = assets and films in memory
   int64_t data_bytes_max = int64_t{64} << 30;  // quota of assets and films; 0 = unlimited
   int filter_threads = 0;          // 0 = all
+  FilterOn filter_on = FilterOn::kAuto;  // whether workers filter pictures, too
   int tile_size = 32;              // default of jobs that name none
   std::chrono::milliseconds lease_ttl{2000};
   double audit_rate = 0;           // of all units, rendered on two hosts and compared

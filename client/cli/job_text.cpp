@@ -102,6 +102,8 @@ ordered_json WorkerJson(const v1::Worker& worker) {
   json["connect_time"] = TimeText(worker.has_connect_time(), worker.connect_time());
   json["last_seen_time"] = TimeText(worker.has_last_seen_time(), worker.last_seen_time());
   json["leases"] = worker.leases();
+  json["filter_leases"] = worker.filter_leases();
+  json["filtered_windows"] = worker.filtered_windows();
   json["samples"] = worker.samples();
   json["samples_per_second"] = worker.samples_per_second();
   json["draining"] = worker.draining();
@@ -127,14 +129,16 @@ std::string JobRow(const v1::Job& job) {
 }
 
 std::string WorkerRowHeading() {
-  return absl::StrFormat("%-12s %-24s %8s %7s %7s %14s  %-8s  %s", "WORKER", "HOST", "PROCESS",
-                         "THREADS", "LEASES", "SAMPLES/S", "STATE", "ARITHMETIC");
+  return absl::StrFormat("%-12s %-24s %8s %7s %7s %14s %8s  %-8s  %s", "WORKER", "HOST",
+                         "PROCESS", "THREADS", "LEASES", "SAMPLES/S", "FILTERED", "STATE",
+                         "ARITHMETIC");
 }
 
 std::string WorkerRow(const v1::Worker& worker) {
-  return absl::StrFormat("%-12s %-24s %8d %7d %7d %14.0f  %-8s  %s", worker.name(), worker.host(),
-                         worker.process_id(), worker.threads(), worker.leases(),
-                         worker.samples_per_second(), worker.draining() ? "draining" : "serving",
+  return absl::StrFormat("%-12s %-24s %8d %7d %7d %14.0f %8d  %-8s  %s", worker.name(),
+                         worker.host(), worker.process_id(), worker.threads(),
+                         worker.leases() + worker.filter_leases(), worker.samples_per_second(),
+                         worker.filtered_windows(), worker.draining() ? "draining" : "serving",
                          ArithmeticText(worker));
 }
 

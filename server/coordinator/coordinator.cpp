@@ -37,6 +37,7 @@ StepResult Coordinator::Step(Event event, Instant now) {
   if (!is_frequent) units_changed_ = true;
   std::visit([this](auto& e) { On(e); }, event);
   ExpireLeases();
+  ExpireFilterLeases();
   GrantAll();
   UpdateWaiting();
   return std::move(result_);
@@ -100,6 +101,8 @@ std::vector<v1::Worker> Coordinator::ListWorkers(Instant now) const {
       out.set_samples_per_second(1000.0 * static_cast<double>(worker->samples) /
                                  static_cast<double>(age_ms));
     }
+    out.set_filter_leases(static_cast<int>(worker->filter_leases.size()));
+    out.set_filtered_windows(worker->filtered_windows);
     out.set_draining(worker->draining);
     out.set_crashes(worker->hello.crashes_size());
     *out.mutable_isa_classes() = worker->hello.isa_classes();
@@ -124,6 +127,7 @@ CoordinatorTotals Coordinator::Totals() const {
   totals.workers = std::ssize(workers_);
   for (const auto& [session, worker] : workers_) totals.worker_threads += worker->hello.threads();
   totals.leases = std::ssize(leases_);
+  totals.filter_leases = std::ssize(filter_leases_);
   totals.banned_hosts = std::ssize(banned_);
   totals.film_bytes = film_bytes_;
   return totals;

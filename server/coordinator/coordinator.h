@@ -65,6 +65,18 @@ class Coordinator {
   std::vector<v1::Worker> ListWorkers(Instant now) const;
   CoordinatorTotals Totals() const;
 
+  // Windows of the job's picture that workers would take now (FilterOfferEvent).
+  int64_t FilterRoom(JobId job, Instant now) const;
+  // The ticket of the window that this worker ("workers/N") has by that lease; 0 = none.
+  uint64_t FilterTicketOf(const std::string& worker, LeaseId lease) const;
+  struct FilterLeaseView {
+    LeaseId id = 0;
+    SessionId session = 0;
+    uint64_t ticket = 0;
+    int64_t expires_ms = 0;  // monotonic
+  };
+  std::vector<FilterLeaseView> ListFilterLeases() const;
+
   struct LeaseView {
     LeaseId id = 0;
     SessionId session = 0;
@@ -108,6 +120,14 @@ class Coordinator {
     v1::LeaseProgress::State state = v1::LeaseProgress::STATE_UNSPECIFIED;
     int64_t samples = 0;  // done, as far as it was told
   };
+  struct FilterLease {
+    SessionId session = 0;
+    uint64_t ticket = 0;
+    JobId job = 0;
+    v1::FilterLease message;
+    int64_t issued_ms = 0;
+    int64_t expires_ms = 0;
+  };
   struct RequestRecord {
     std::string kind;
     JobId job = 0;
@@ -130,6 +150,10 @@ class Coordinator {
   void On(SceneFailureEvent& event);
   void On(DrainEvent& event);
   void On(PictureEvent& event);
+  void On(FilterOfferEvent& event);
+  void On(FilterWithdrawEvent& event);
+  void On(FilteredEvent& event);
+  void On(FilterLieEvent& event);
   void On(JobFinishedEvent& event);
   void On(TickEvent& event);
 
@@ -188,6 +212,15 @@ class Coordinator {
   bool KeepUnit(Job& job, const Unit& unit);
   void CloseQueue(Job& job);
 
+  // Windows to be filtered (coordinator_filter.cpp).
+  int64_t FilterRoomOf(const Worker& worker, const Job& job, int64_t now_ms) const;
+  // Ends a lease without a result; the server filters the window.
+  void LoseFilterLease(LeaseId id);
+  void PutOffFiltering(Worker& worker);
+  void LoseFilterLeasesOf(SessionId session);
+  void RenewFilterLease(SessionId session, LeaseId id);
+  void ExpireFilterLeases();
+
   // Leases (coordinator_leases.cpp).
   Worker* FindWorker(SessionId session);
   void Send(SessionId session, v1::CoordinatorMessage message);
@@ -244,6 +277,7 @@ class Coordinator {
   std::set<JobId> suspicious_;        // jobs with suspects
   std::set<std::string> banned_;      // hosts that returned wrong bits
   std::string disk_full_;             // why nothing can be kept; empty = it can
+  std::map<LeaseId, FilterLease> filter_leases_;
   std::set<std::pair<int64_t, LeaseId>> expiries_;  // (expires_ms, lease)
   std::map<std::string, RequestRecord> requests_;
   std::deque<std::string> request_order_;  // oldest first

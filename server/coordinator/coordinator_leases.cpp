@@ -84,6 +84,7 @@ void Coordinator::RemoveWorker(SessionId session) {
   if (it == workers_.end()) return;
   const std::set<LeaseId> leases = it->second->leases;
   for (const LeaseId id : leases) DropLease(id, false);
+  LoseFilterLeasesOf(session);
   workers_.erase(it);
   waiting_changed_ = true;
 }
@@ -158,6 +159,7 @@ void Coordinator::On(HeartbeatEvent& event) {
   bool any_moves = std::exchange(worker->has_sent, false);
   std::vector<LeaseId> waiting;
   for (const v1::LeaseProgress& progress : event.leases) {
+    RenewFilterLease(event.session, progress.id());
     const auto it = leases_.find(progress.id());
     if (it == leases_.end() || it->second.session != event.session) continue;
     const bool has_moved = NoteProgress(progress, &it->second);
@@ -187,6 +189,10 @@ void Coordinator::On(DeclineEvent& event) {
   waiting_changed_ = true;
   const v1::DeclineLease& decline = event.decline;
   if (decline.reason() == v1::DeclineLease::REASON_DRAINING) worker->draining = true;
+  if (worker->filter_leases.contains(decline.lease_id())) {
+    PutOffFiltering(*worker);
+    return LoseFilterLease(decline.lease_id());
+  }
   const auto it = leases_.find(decline.lease_id());
   if (it == leases_.end() || it->second.session != event.session) return;
   const JobId id = it->second.job;

@@ -132,6 +132,10 @@ struct Coordinator::Worker {
   std::map<JobId, int64_t> retry_assets_ms;
   int64_t samples = 0;
   std::map<JobId, double> ns_per_sample;  // of one thread, lately
+  std::set<LeaseId> filter_leases;
+  int64_t filtered_windows = 0;
+  int64_t filter_not_before_ms = 0;  // monotonic
+  int64_t filter_put_off_ms = 0;     // for how long, the last time that one was lost; 0 = none was
   double slowness = 1;  // its time over the average worker's, lately
 
   bool RetriesLater(JobId job, int64_t now_ms) const {

@@ -252,7 +252,7 @@ void Coordinator::GrantSuspects() {
       Worker* const worker = WorkerForSuspect(job, suspect.hosts, heard);
       if (worker == nullptr) continue;
       worker->reserved = true;
-      if (!worker->leases.empty()) continue;
+      if (!worker->leases.empty() || !worker->filter_leases.empty()) continue;
       worker->is_alone = true;
       job.audits_waiting.erase(unit);
       Grant(*worker, job, unit);

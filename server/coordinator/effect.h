@@ -45,6 +45,12 @@ struct RemoveJobEffect {
 struct EvaluatePictureEffect {
   JobId job = 0;
 };
+// Answers a FilterOfferEvent.
+struct FilterAnswerEffect {
+  uint64_t ticket = 0;
+  std::shared_ptr<const FilteredPlanes> planes{};  // null: no worker filters it
+  std::string host{};                              // whose they are
+};
 // Filter the last picture, take the film's digest, and answer with JobFinishedEvent. The film does
 // not change any more.
 struct FinishJobEffect {
@@ -53,7 +59,7 @@ struct FinishJobEffect {
 
 using Effect = std::variant<SendEffect, CloseSessionEffect, JobChangedEffect, TileChangedEffect,
                             SaveJobEffect, BanEffect, RemoveJobEffect, EvaluatePictureEffect,
-                            FinishJobEffect>;
+                            FinishJobEffect, FilterAnswerEffect>;
 
 // What one step led to.
 struct StepResult {

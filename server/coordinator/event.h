@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "core/base/sha256.h"
+#include "core/denoise/denoiser.h"
 #include "core/film/film.h"
 #include "core/film/tile_statistics.h"
 #include "server/coordinator/tile_cost.h"
@@ -119,6 +120,28 @@ struct PictureEvent {
   double estimated_error = 0;  // sqrt(relMSE); 0 = unknown
   double filter_core_seconds = 0;  // spent since the last such event
 };
+// A window of a picture that a worker may filter. Answered by a FilterAnswerEffect, now or later.
+struct FilterOfferEvent {
+  uint64_t ticket = 0;      // names it; never reused
+  v1::FilterLease lease{};  // all but its id
+};
+// The window is not wanted any more; no answer follows. is_late: the worker has had it for so long
+// that the server filters it itself.
+struct FilterWithdrawEvent {
+  uint64_t ticket = 0;
+  bool is_late = false;
+};
+// filtered.payload has been decoded into `planes`.
+struct FilteredEvent {
+  SessionId session = 0;
+  v1::FilteredWindow filtered{};
+  int64_t wire_bytes = 0;
+  std::shared_ptr<const FilteredPlanes> planes{};
+};
+// The server has filtered a window again, and the host had returned other bits.
+struct FilterLieEvent {
+  std::string host;
+};
 struct JobFinishedEvent {
   JobId job = 0;
   Sha256Digest digest{};
@@ -132,7 +155,7 @@ using Event =
     std::variant<CreateJobEvent, JobCommandEvent, LookEvent, RestoreJobEvent, RestoreBanEvent,
                  DiskEvent, FilmStoredEvent,
                  WorkerConnectedEvent, WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
-                 SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, JobFinishedEvent,
-                 TickEvent>;
+                 SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, FilterOfferEvent,
+                 FilterWithdrawEvent, FilteredEvent, FilterLieEvent, JobFinishedEvent, TickEvent>;
 
 }  // namespace tessera

@@ -38,6 +38,10 @@ inline constexpr int64_t kLeaseSamplesMax = int64_t{1} << 20;
 inline constexpr int kOpenStagesMax = 8;
 inline constexpr int64_t kOpenUnitsOfTileMax = 128;
 
+// A window that is leased to be filtered, and its planes with a halo of at most 128 pixels.
+inline constexpr int64_t kFilterWindowPixelsMax = 256 * 256;
+inline constexpr int64_t kFilterInputPixelsMax = 512 * 512;
+inline constexpr size_t kFilterLeasesMax = 1024;  // of all workers
 // Of one job, units that wait for a second host's samples; then no others are handed out.
 inline constexpr size_t kAuditsMax = 4096;
 // Hosts that render a unit before it is clear that no two of them agree.

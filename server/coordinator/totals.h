@@ -17,6 +17,12 @@ struct CoordinatorTotals {
   int64_t delta_bytes = 0;  // on the wire, of merged deltas
   double render_core_seconds = 0;
   double filter_core_seconds = 0;
+  int64_t filter_leases_granted = 0;
+  int64_t filter_leases_lost = 0;  // expired, declined or taken back: filtered by the server
+  int64_t windows_filtered = 0;    // by workers
+  int64_t filtered_pixels = 0;     // in them
+  int64_t filtered_bytes = 0;      // of their answers, on the wire
+  double worker_filter_core_seconds = 0;
   int64_t leases_granted = 0;
   int64_t leases_expired = 0;
   int64_t first_pictures = 0;         // of jobs
@@ -27,6 +33,7 @@ struct CoordinatorTotals {
   int64_t workers = 0;
   int64_t worker_threads = 0;
   int64_t leases = 0;
+  int64_t filter_leases = 0;
   int64_t film_bytes = 0;
   int64_t banned_hosts = 0;
 };

@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "core/denoise/window_codec.h"
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
@@ -34,6 +35,26 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool 
   if (with_digest) event.digest = TestimonyOf(event.tile);
   delta.clear_payload();
   event.delta = std::move(delta);
+  return event;
+}
+
+absl::StatusOr<Event> DecodeEvent(SessionId session, v1::FilteredWindow& filtered) {
+  const v1::Region& w = filtered.window();
+  if (w.width() < 1 || w.height() < 1 || w.x() < 0 || w.y() < 0 || w.x() > kFrameSideMaxPx ||
+      w.y() > kFrameSideMaxPx || int64_t{w.width()} * w.height() > kFilterWindowPixelsMax) {
+    return absl::InvalidArgumentError("filtered: window is impossible");
+  }
+  const FilteredKey key{filtered.lease_id(), filtered.job(), filtered.revision(), RectOf(w)};
+  if (filtered.checksum() != FilteredChecksum(key, filtered.payload())) {
+    return absl::InvalidArgumentError("filtered: wrong checksum, it was damaged on its way");
+  }
+  absl::StatusOr<FilteredPlanes> planes = DecodeFiltered(RectOf(w), filtered.payload());
+  if (!planes.ok()) return planes.status();
+  FilteredEvent event{.session = session};
+  event.wire_bytes = static_cast<int64_t>(filtered.ByteSizeLong());
+  event.planes = std::make_shared<const FilteredPlanes>(*std::move(planes));
+  filtered.clear_payload();
+  event.filtered = std::move(filtered);
   return event;
 }
 
@@ -71,7 +92,7 @@ absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message, boo
     case v1::WorkerMessage::kDrain:
       return DrainEvent{session};
     case v1::WorkerMessage::kFiltered:
-      return absl::InvalidArgumentError("filtered: no window was leased to this worker");
+      return DecodeEvent(session, *message.mutable_filtered());
     case v1::WorkerMessage::MESSAGE_NOT_SET:
       break;
   }

@@ -233,7 +233,7 @@ void HttpServer::Impl::AddRoutes() {
     response.set_content("ok\n", "text/plain");
   });
   server_->Get("/metrics", [this](const httplib::Request&, httplib::Response& response) {
-    response.set_content(MetricsText(host_), kMetricsContentType);
+    response.set_content(MetricsText(host_, pictures_.filter_totals()), kMetricsContentType);
   });
   server_->Get("/", [](const httplib::Request&, httplib::Response& response) {
     response.set_content(kIndexPage, "text/html; charset=utf-8");

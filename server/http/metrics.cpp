@@ -89,6 +89,27 @@ void AddJobs(const CoordinatorTotals& totals, Families& out) {
   }
 }
 
+void AddFiltering(const CoordinatorTotals& totals, const FilterDesk::Totals& filtering,
+                  Families& out) {
+  const auto number = [](int64_t value) { return static_cast<double>(value); };
+  out.Gauge("tessera_filter_leases", "Windows of pictures that workers have to filter",
+            number(totals.filter_leases));
+  out.Counter("tessera_filter_leases_granted_total", "Windows handed out",
+              number(totals.filter_leases_granted));
+  out.Counter("tessera_filter_leases_lost_total", "Windows that came back unfiltered, or too late",
+              number(totals.filter_leases_lost));
+  out.Add("tessera_filtered_pixels_total", "Pixels refined, by place", MetricType::Counter);
+  out.Value(number(filtering.own_pixels), {{"on", "server"}});
+  out.Value(number(totals.filtered_pixels), {{"on", "workers"}});
+  out.Counter("tessera_filter_audits_total", "Windows of workers filtered again by the server",
+              number(filtering.windows_audited));
+  out.Add("tessera_filter_bytes_total", "Planes of leased windows", MetricType::Counter);
+  out.Value(number(filtering.input_bytes), {{"direction", "to_workers"}});
+  out.Value(number(totals.filtered_bytes), {{"direction", "from_workers"}});
+  out.Counter("tessera_worker_filter_core_seconds_total",
+              "Processor time of filtering by workers", totals.worker_filter_core_seconds);
+}
+
 void AddWorkers(const std::vector<v1::Worker>& workers, Families& out) {
   out.Add("tessera_worker_samples_total", "Camera samples merged, by worker", MetricType::Counter);
   for (const v1::Worker& worker : workers) {
@@ -99,7 +120,7 @@ void AddWorkers(const std::vector<v1::Worker>& workers, Families& out) {
 
 }  // namespace
 
-std::string MetricsText(const CoordinatorHost& host) {
+std::string MetricsText(const CoordinatorHost& host, const FilterDesk::Totals& filtering) {
   CoordinatorTotals totals;
   std::vector<v1::Worker> workers;
   host.Read([&](const Coordinator& c) {
@@ -127,8 +148,9 @@ std::string MetricsText(const CoordinatorHost& host) {
   out.Counter("tessera_rays_total", "Rays of merged samples", number(totals.rays));
   out.Counter("tessera_render_core_seconds_total", "Processor time of merged samples",
               totals.render_core_seconds);
-  out.Counter("tessera_filter_core_seconds_total", "Processor time of filtering",
+  out.Counter("tessera_filter_core_seconds_total", "Processor time of filtering by the server",
               totals.filter_core_seconds);
+  AddFiltering(totals, filtering, out);
   out.Summary("tessera_first_picture_seconds", "From a job's first lease to its first picture",
               totals.first_pictures, totals.first_picture_seconds);
   AddWorkers(workers, out);

@@ -4,6 +4,7 @@
 #include <string>
 
 #include "server/coordinator_host.h"
+#include "server/picture/filter_desk.h"
 
 namespace tessera {
 
@@ -12,6 +13,6 @@ inline constexpr char kMetricsContentType[] = "text/plain; version=0.0.4; charse
 // Jobs by state, workers, leases, merged samples, rays and bytes, time to the first picture, and
 // this process's memory and processor time. Names end in their unit; counters in _total count since
 // the server started. Threads: any.
-std::string MetricsText(const CoordinatorHost& host);
+std::string MetricsText(const CoordinatorHost& host, const FilterDesk::Totals& filtering);
 
 }  // namespace tessera

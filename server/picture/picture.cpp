@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
 #include "core/base/tile_grid.h"
+#include "core/denoise/window_codec.h"
 #include "core/image/layers.h"
 #include "core/statistics/calibration.h"
 #include "server/coordinator/job_settings.h"
@@ -20,6 +21,8 @@ namespace tessera {
 namespace {
 
 constexpr double kLeastError = 1e-12;  // what stands for none, as 0 means unknown
+constexpr int kLeasedSidePx = 256;     // of windows that workers filter
+constexpr int kLeasedHaloMaxPx = 128;  // kFilterInputPixelsMax
 constexpr int kResolvedPartPx = 128;   // of a unit of work without a large halo
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
@@ -114,7 +117,7 @@ double Picture::Update(const std::vector<int64_t>& changed, const TileSource& so
   }
   cpu_seconds += FilterWindows(JoinTiles(grid_, seen), quality, num_threads);
   std::unique_lock lock(mu_);
-  is_refined_ = rough_.empty();
+  is_refined_ = IsWholeLocked(nullptr);
   ++version_;
   return cpu_seconds;
 }
@@ -129,7 +132,17 @@ double Picture::Absorb(const std::vector<int64_t>& changed, const TileSource& so
   return cpu_seconds;
 }
 
-double Picture::Refine(int64_t pixels_max, int num_threads) {
+double Picture::Refine(int64_t pixels_max, int num_threads, LeasedWindows* leased) {
+  DropDistrusted();
+  double cpu_seconds = 0;
+  bool has_news = false;
+  if (leased != nullptr) {
+    std::vector<LeasedWindows::Answer> answers = leased->Take();
+    has_news = !answers.empty();
+    cpu_seconds += TakeAnswers(std::move(answers), num_threads, *leased);
+    cpu_seconds += LeaseWindows(pixels_max, num_threads, *leased);
+    if (rough_.empty()) AwaitLeased(num_threads, *leased);
+  }
   std::vector<int64_t> whole;
   std::vector<PixelRect> slice;
   int64_t pixels = 0;
@@ -140,9 +153,12 @@ double Picture::Refine(int64_t pixels_max, int num_threads) {
     rough_.erase(rough_.begin());
   }
   std::ranges::copy(JoinTiles(grid_, whole), std::back_inserter(slice));
-  const double cpu_seconds = FilterWindows(slice, quality_, num_threads);
+  const double own_seconds = FilterWindows(slice, quality_, num_threads);
+  if (leased != nullptr) leased->NoteOwnSpeed(pixels, own_seconds);
+  cpu_seconds += own_seconds;
   std::unique_lock lock(mu_);
-  is_refined_ = rough_.empty();
+  is_refined_ = IsWholeLocked(leased);
+  if (pixels == 0 && !has_news && !is_refined_) return cpu_seconds;  // it waits for workers
   if (version_ > 0 || is_refined_) ++version_;
   return cpu_seconds;
 }
@@ -157,6 +173,7 @@ double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource&
     cpu_seconds += ParallelFor(moved.size(), num_threads,
                                [&](size_t i) { CalibrateVariance(moved[i], &planes_); });
   }
+  ++revision_;
   for (const int64_t tile : *resolved) {
     filter_->Invalidate(grid_.WindowOf(tile));
     preview_filter_->Invalidate(grid_.WindowOf(tile));
@@ -186,10 +203,118 @@ void Picture::LeaveToRefine(const std::map<int64_t, PixelRect>& stale) {
   }
 }
 
+bool Picture::IsWholeLocked(const LeasedWindows* leased) const {
+  return rough_.empty() && !is_distrusted_ && (leased == nullptr || leased->empty());
+}
+
+void Picture::LeaveWindowToRefine(const PixelRect& window) {
+  for (const int64_t tile : grid_.TilesIn(window)) {
+    LeaveToRefine({{tile, window.Intersect(grid_.WindowOf(tile))}});
+  }
+}
+
+void Picture::Distrust(const std::string& host) {
+  std::unique_lock lock(mu_);
+  if (filtered_by_.erase(host) == 0) return;
+  is_distrusted_ = true;
+  is_refined_ = false;
+}
+
+void Picture::DropDistrusted() {
+  bool is_distrusted = false;
+  {
+    std::unique_lock lock(mu_);
+    std::swap(is_distrusted, is_distrusted_);
+  }
+  if (is_distrusted) LeaveWindowToRefine(grid_.region());
+}
+
+double Picture::TakeAnswers(std::vector<LeasedWindows::Answer> answers, int num_threads,
+                            LeasedWindows& leased) {
+  double cpu_seconds = 0;
+  std::vector<PixelRect> taken;
+  for (const LeasedWindows::Answer& answer : answers) {
+    if (answer.planes == nullptr) {
+      LeaveWindowToRefine(answer.window);
+      continue;
+    }
+    if (answer.is_audited) {
+      const PixelRect windows[] = {answer.window};
+      FilteredPlanes own(answer.window);
+      cpu_seconds += FilterOnly(windows, quality_, num_threads,
+                                [&](const FilteredPlanes& part) { CopyPixels(part, &own); });
+      if (!SameBits(own, *answer.planes)) leased.ReportLie(answer.host);
+      std::unique_lock lock(mu_);
+      CopyPixels(own, &filtered_);
+    } else {
+      std::unique_lock lock(mu_);
+      CopyPixels(*answer.planes, &filtered_);
+      filtered_by_.insert(answer.host);
+    }
+    taken.push_back(answer.window);
+  }
+  if (!taken.empty()) cpu_seconds += JudgeWindows(taken, num_threads);
+  return cpu_seconds;
+}
+
+PixelRect Picture::TakeLastWindow() {
+  const int64_t columns = grid_.num_columns();
+  const int64_t side = std::max<int64_t>(1, kLeasedSidePx / grid_.tile_size());
+  const int64_t last = rough_.rbegin()->first;
+  const int64_t row_begin = last / columns / side * side;
+  const int64_t column_begin = last % columns / side * side;
+  PixelRect window;
+  for (int64_t row = row_begin; row < row_begin + side; ++row) {
+    for (int64_t column = column_begin; column < std::min(column_begin + side, columns); ++column) {
+      const auto found = rough_.find(row * columns + column);
+      if (found == rough_.end()) continue;
+      window = window.empty() ? found->second : Around(window, found->second);
+      rough_.erase(found);
+    }
+  }
+  return window;
+}
+
+// Windows come from the frame's end, what is filtered here from its begin.
+double Picture::LeaseWindows(int64_t pixels_here, int num_threads, LeasedWindows& leased) {
+  const int halo_px = denoiser_->halo_px(quality_);
+  if (halo_px > kLeasedHaloMaxPx) return 0;
+  int64_t pixels = 0;
+  for (const auto& [tile, part] : rough_) pixels += part.area();
+  std::vector<FilterOffer> offers;
+  for (int64_t room = leased.Room(); room > 0 && !rough_.empty(); --room) {
+    if (!leased.Pays(pixels, pixels_here, num_threads)) break;
+    FilterOffer& offer = offers.emplace_back();
+    offer.window = TakeLastWindow();
+    offer.frame = grid_.region();
+    offer.bounds = offer.window.Expand(halo_px).Intersect(grid_.region());
+    offer.denoiser = std::string(denoiser_->name());
+    offer.quality = settings_.quality() == v1::QUALITY_PREVIEW ? v1::QUALITY_PREVIEW
+                                                               : v1::QUALITY_FINAL;
+    offer.revision = revision_;
+    pixels -= offer.window.area();
+  }
+  const double cpu_seconds = ParallelFor(offers.size(), num_threads, [&](size_t i) {
+    offers[i].input =
+        std::make_shared<const std::string>(EncodeFilterInput(planes_, offers[i].bounds));
+  });
+  for (FilterOffer& offer : offers) leased.Offer(std::move(offer));
+  return cpu_seconds;
+}
+
+// Nothing is left to do here: what is out is waited for, at most for as long as doing it here takes
+// (so at worst twice the time of the better choice), then done here.
+void Picture::AwaitLeased(int num_threads, LeasedWindows& leased) {
+  for (const PixelRect& window : leased.AwaitOrTakeBack(num_threads)) LeaveWindowToRefine(window);
+}
+
 double Picture::FilterWindows(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                               int num_threads) {
-  double cpu_seconds = Filter(windows, quality, num_threads);
-  cpu_seconds += SumErrors(windows, num_threads);
+  return Filter(windows, quality, num_threads) + JudgeWindows(windows, num_threads);
+}
+
+double Picture::JudgeWindows(const std::vector<PixelRect>& windows, int num_threads) {
+  const double cpu_seconds = SumErrors(windows, num_threads);
   const double error = EstimateError();
   std::unique_lock lock(mu_);
   estimated_error_ = error;
@@ -218,15 +343,21 @@ double Picture::Resolve(const std::vector<int64_t>& changed, const TileSource& s
 
 double Picture::Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                        int num_threads) {
+  return FilterOnly(windows, quality, num_threads, [&](const FilteredPlanes& part) {
+    std::unique_lock lock(mu_);
+    CopyPixels(part, &filtered_);
+  });
+}
+
+double Picture::FilterOnly(std::span<const PixelRect> windows, DenoiseQuality quality,
+                           int num_threads,
+                           const std::function<void(const FilteredPlanes& part)>& put) {
   FrameFilter& filter = quality == quality_ ? *filter_ : *preview_filter_;
   double cpu_seconds = 0;
   const auto for_each_part = [&](size_t count, const std::function<void(size_t)>& body) {
     cpu_seconds += ParallelFor(count, num_threads, body);
   };
-  filter.Filter(planes_, windows, for_each_part, [&](const FilteredPlanes& part) {
-    std::unique_lock lock(mu_);
-    CopyPixels(part, &filtered_);
-  });
+  filter.Filter(planes_, windows, for_each_part, put);
   return cpu_seconds;
 }
 

@@ -9,7 +9,9 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <set>
 #include <shared_mutex>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -19,6 +21,7 @@
 #include "core/denoise/frame_filter.h"
 #include "core/film/frame_planes.h"
 #include "core/image/image.h"
+#include "server/picture/leased_windows.h"
 #include "tessera/v1/job.pb.h"
 
 namespace tessera {
@@ -41,7 +44,12 @@ class Picture {
   // the tiles, then each Refine filters about pixels_max pixels, until is_refined(). The same bits
   // for any slices. Both return seconds of CPU.
   double Absorb(const std::vector<int64_t>& changed, const TileSource& source, int num_threads);
-  double Refine(int64_t pixels_max, int num_threads);
+  // leased: windows of it that workers filter meanwhile, the same for all slices of a refinement;
+  // null = none. The same bits with or without, whoever comes back or does not.
+  double Refine(int64_t pixels_max, int num_threads, LeasedWindows* leased = nullptr);
+  // If the host has filtered any of it, has all of it filtered again by the next Refine: the host
+  // returned wrong bits. Threads: any.
+  void Distrust(const std::string& host);
 
   // The pixels that it has.
   const PixelRect& region() const { return grid_.region(); }
@@ -71,6 +79,17 @@ class Picture {
                                            DenoiseQuality quality) const;
   // Has `stale` filtered at the job's quality by Refine.
   void LeaveToRefine(const std::map<int64_t, PixelRect>& stale);
+  // Windows at workers: takes in what has come, has what is lost filtered here, leases more of what
+  // is left to do. Each returns seconds of CPU.
+  double TakeAnswers(std::vector<LeasedWindows::Answer> answers, int num_threads,
+                     LeasedWindows& leased);
+  double LeaseWindows(int64_t pixels_here, int num_threads, LeasedWindows& leased);
+  void AwaitLeased(int num_threads, LeasedWindows& leased);
+  // The rough pixels around the last rough tile, up to the size of a lease; they are rough no more.
+  PixelRect TakeLastWindow();
+  void LeaveWindowToRefine(const PixelRect& window);
+  void DropDistrusted();
+  bool IsWholeLocked(const LeasedWindows* leased) const;
   // Filters `windows`, their rows' errors and the estimate from them.
   double FilterWindows(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                        int num_threads);
@@ -78,6 +97,10 @@ class Picture {
   double Resolve(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
                  std::vector<int64_t>* resolved);
   double Filter(const std::vector<PixelRect>& windows, DenoiseQuality quality, int num_threads);
+  double FilterOnly(std::span<const PixelRect> windows, DenoiseQuality quality, int num_threads,
+                    const std::function<void(const FilteredPlanes& part)>& put);
+  // The windows' rows' errors and the estimate from them.
+  double JudgeWindows(const std::vector<PixelRect>& windows, int num_threads);
   // Sums the errors of the windows' rows anew.
   double SumErrors(const std::vector<PixelRect>& windows, int num_threads);
   double EstimateError() const;
@@ -101,8 +124,13 @@ class Picture {
   int64_t num_samples_ = 0;
   double estimated_error_ = 0;
 
+  // Guarded by mu_: the hosts that have filtered windows of it, and whether one of them is banned.
+  std::set<std::string> filtered_by_;
+  bool is_distrusted_ = false;
+
   // What has to be filtered at the job's quality, by tile; Update's own.
   std::map<int64_t, PixelRect> rough_;
+  uint64_t revision_ = 0;  // of the planes; Update's own
   // Each row's sums of FilteredPlanes::relative_error and relative_noise; Update's own.
   struct RowError {
     double error = std::numeric_limits<double>::infinity();

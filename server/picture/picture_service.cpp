@@ -27,9 +27,10 @@ int64_t MonotonicMs() {
 
 }  // namespace
 
-PictureService::PictureService(PictureSource source, int num_threads)
+PictureService::PictureService(PictureSource source, int num_threads, FilterDesk* desk)
     : source_(std::move(source)),
       num_threads_(num_threads),
+      desk_(desk),
       threads_{std::thread([this] { Run(kPreviews); }),
                std::thread([this] { Run(kRefinements); })} {}
 
@@ -45,6 +46,7 @@ void PictureService::Stop() {
     if (thread.joinable()) thread.join();
   }
   std::vector<Done> waiting;
+  std::vector<std::unique_ptr<Refinement>> ended;  // whose windows are taken back without the lock
   {
     std::lock_guard lock(mu_);
     for (auto& [id, entry] : entries_) {
@@ -52,7 +54,7 @@ void PictureService::Stop() {
       entry.waiting.clear();
       if (entry.refinement == nullptr) continue;
       std::ranges::move(entry.refinement->waiting, std::back_inserter(waiting));
-      entry.refinement.reset();
+      ended.push_back(std::move(entry.refinement));
     }
   }
   for (const Done& done : waiting) done(nullptr);
@@ -84,6 +86,14 @@ void PictureService::Remove(JobId job) {
   const auto it = entries_.find(job);
   if (it == entries_.end()) return;
   it->second.removed = true;
+  wake_.notify_all();
+}
+
+void PictureService::Distrust(const std::string& host) {
+  std::lock_guard lock(mu_);
+  for (auto& [id, entry] : entries_) {
+    if (entry.picture != nullptr) entry.picture->Distrust(host);
+  }
   wake_.notify_all();
 }
 
@@ -174,6 +184,7 @@ JobId PictureService::Choose(Lane lane, int64_t now_ms, int64_t* sleep_ms) const
 
 void PictureService::Abandon(JobId job) {
   std::vector<Done> waiting;
+  std::unique_ptr<Refinement> ended;  // whose windows are taken back without the lock
   {
     std::lock_guard lock(mu_);
     const auto it = entries_.find(job);
@@ -181,6 +192,7 @@ void PictureService::Abandon(JobId job) {
     waiting = std::move(it->second.waiting);
     if (it->second.refinement != nullptr) {
       std::ranges::move(it->second.refinement->waiting, std::back_inserter(waiting));
+      ended = std::move(it->second.refinement);
     }
     entries_.erase(it);
   }
@@ -258,6 +270,7 @@ void PictureService::RunRound(Lane lane, JobId job) {
     return EndRound(job, picture, std::move(round), false);
   }
   if (!changed.empty()) round.cpu_seconds = picture->Absorb(changed, source, num_threads_);
+  if (desk_ != nullptr) round.leased = std::make_unique<LeasedWindows>(*desk_, job);
   {
     std::lock_guard lock(mu_);
     entries_[job].refinement = std::make_unique<Refinement>(std::move(round));
@@ -268,7 +281,12 @@ void PictureService::RunRound(Lane lane, JobId job) {
 void PictureService::RunSlice(JobId job, const std::shared_ptr<Picture>& picture) {
   double cpu_seconds = 0;
   if (!picture->is_refined()) {
-    cpu_seconds = picture->Refine(kSlicePixels * num_threads_, num_threads_);
+    LeasedWindows* leased = nullptr;
+    {
+      std::lock_guard lock(mu_);
+      leased = entries_[job].refinement->leased.get();
+    }
+    cpu_seconds = picture->Refine(kSlicePixels * num_threads_, num_threads_, leased);
   }
   Refinement round;
   {

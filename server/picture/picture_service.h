@@ -22,6 +22,8 @@
 
 #include "core/base/sha256.h"
 #include "server/coordinator/event.h"
+#include "server/picture/filter_desk.h"
+#include "server/picture/leased_windows.h"
 #include "server/picture/picture.h"
 
 namespace tessera {
@@ -48,8 +50,9 @@ class PictureService {
  public:
   static constexpr double kPreviewShare = 0.15;
 
-  // num_threads >= 1: that filter.
-  PictureService(PictureSource source, int num_threads);
+  // num_threads >= 1: that filter. desk: through which workers filter, too; null = none does. It
+  // must outlive the service.
+  PictureService(PictureSource source, int num_threads, FilterDesk* desk = nullptr);
   ~PictureService();  // Stop
 
   // From the coordinator's effects; never block.
@@ -57,6 +60,8 @@ class PictureService {
   void Evaluate(JobId job);
   void Finish(JobId job);
   void Remove(JobId job);
+  // What the host has filtered is filtered again.
+  void Distrust(const std::string& host);
 
   void AddWatcher(JobId job);
   void RemoveWatcher(JobId job);
@@ -68,6 +73,10 @@ class PictureService {
   using Done = std::function<void(std::shared_ptr<const Picture>)>;
   void Fetch(JobId job, bool wait, Done done);
 
+  FilterDesk::Totals filter_totals() const {
+    return desk_ == nullptr ? FilterDesk::Totals() : desk_->totals();
+  }
+
   // Ends the threads; waiting fetches get null. Idempotent.
   void Stop();
 
@@ -75,6 +84,7 @@ class PictureService {
   // A picture on its way to the job's quality, slice by slice, and who waits for it.
   struct Refinement {
     PictureSource::JobView view;
+    std::unique_ptr<LeasedWindows> leased{};  // null: without workers
     std::vector<Done> waiting{};
     bool finish = false;
     int64_t begin_ms = 0;
@@ -124,6 +134,7 @@ class PictureService {
 
   const PictureSource source_;
   const int num_threads_;
+  FilterDesk* const desk_;
   std::mutex mu_;  // guards all below
   std::condition_variable wake_;
   std::map<JobId, Entry> entries_;

@@ -2,6 +2,8 @@
 #pragma once
 
 #include "server/coordinator_host.h"
+#include "server/picture/filter_desk.h"
+#include "server/rpc/filter_input.h"
 #include "server/rpc/refused_stream.h"
 #include "server/rpc/worker_sessions.h"
 #include "server/security/access.h"
@@ -12,8 +14,9 @@ namespace tessera {
 class WorkerService final : public v1::WorkerService::CallbackService {
  public:
   // All must outlive the service.
-  WorkerService(CoordinatorHost& host, WorkerSessions& sessions, const Access& access)
-      : host_(host), sessions_(sessions), access_(access) {}
+  WorkerService(CoordinatorHost& host, WorkerSessions& sessions, FilterDesk& desk,
+                const Access& access)
+      : host_(host), sessions_(sessions), desk_(desk), access_(access) {}
 
   grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Work(
       grpc::CallbackServerContext* context) override {
@@ -21,6 +24,22 @@ class WorkerService final : public v1::WorkerService::CallbackService {
     if (status.ok()) return sessions_.Accept(context);
     using Stream = grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>;
     return new RefusedStream<Stream>(status);
+  }
+  grpc::ServerWriteReactor<v1::ReadFilterInputResponse>* ReadFilterInput(
+      grpc::CallbackServerContext* context,
+      const v1::ReadFilterInputRequest* request) override {
+    absl::Status status = access_.Check(*context, Role::kWorker).status();
+    std::shared_ptr<const std::string> input;
+    if (status.ok()) {
+      const uint64_t ticket = host_.Read([&](const Coordinator& c) {
+        return c.FilterTicketOf(request->worker(), request->lease_id());
+      });
+      input = desk_.InputOf(ticket);
+      if (input == nullptr) status = absl::NotFoundError("the lease is gone");
+    }
+    using Stream = grpc::ServerWriteReactor<v1::ReadFilterInputResponse>;
+    if (!status.ok()) return new RefusedStream<Stream>(status);
+    return new FilterInputStream(std::move(input));
   }
   grpc::ServerUnaryReactor* ListWorkers(grpc::CallbackServerContext* context,
                                         const v1::ListWorkersRequest*,
@@ -41,6 +60,7 @@ class WorkerService final : public v1::WorkerService::CallbackService {
  private:
   CoordinatorHost& host_;
   WorkerSessions& sessions_;
+  FilterDesk& desk_;
   const Access& access_;
 };
 

@@ -53,6 +53,7 @@ class SimulatedFarm {
 
   struct SimulatedWorker {
     std::deque<v1::Lease> leases;
+    std::deque<v1::FilterLease> filters;
     std::map<std::string, v1::JobSettings> specs;
     int welcomes = 0;
     std::vector<std::string> forgotten;
@@ -170,6 +171,7 @@ class SimulatedFarm {
   double estimated_error = 0.5;  // what evaluated pictures say
   std::vector<JobId> removed, saved;
   std::vector<std::string> bans;
+  std::vector<FilterAnswerEffect> filter_answers;
   absl::Status last_status;
 
  private:
@@ -179,10 +181,12 @@ class SimulatedFarm {
     if (message.has_welcome()) ++worker.welcomes;
     if (message.has_job()) worker.specs[message.job().job()] = message.job().settings();
     if (message.has_lease()) worker.leases.push_back(message.lease());
+    if (message.has_filter()) worker.filters.push_back(message.filter());
     if (message.has_forget()) worker.forgotten.push_back(message.forget().job());
     if (message.has_revoke()) {
-      std::erase_if(worker.leases,
-                    [&](const v1::Lease& lease) { return lease.id() == message.revoke().id(); });
+      const auto is_revoked = [id = message.revoke().id()](const auto& l) { return l.id() == id; };
+      std::erase_if(worker.leases, is_revoked);
+      std::erase_if(worker.filters, is_revoked);
     }
   }
   void Apply(const CloseSessionEffect& effect) {
@@ -194,6 +198,7 @@ class SimulatedFarm {
   void Apply(const SaveJobEffect& effect) { saved.push_back(effect.job); }
   void Apply(const BanEffect& effect) { bans.push_back(effect.host); }
   void Apply(const RemoveJobEffect& effect) { removed.push_back(effect.job); }
+  void Apply(const FilterAnswerEffect& effect) { filter_answers.push_back(effect); }
   void Apply(const EvaluatePictureEffect& effect) {
     const int64_t committed_spp = coordinator.GetJob(effect.job)->progress().committed_spp();
     answers.push_back(PictureEvent{effect.job, committed_spp, estimated_error, 0});
