@@ -1,21 +1,10 @@
 #include "worker/session/render_pool.h"
 
-#include <time.h>
-
 #include <utility>
 
+#include "worker/session/thread_time.h"
+
 namespace tessera {
-namespace {
-
-// CPU time of this thread: what the lease cost, however busy the machine is.
-int64_t ThreadNanoseconds() {
-  timespec now = {};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return int64_t{now.tv_sec} * 1000000000 + now.tv_nsec;
-}
-
-}  // namespace
-
 RenderPool::RenderPool(int threads, DeltaEncoding encoding, UnitJournal* journal, Done done)
     : encoding_(encoding), journal_(journal), done_(std::move(done)) {
   for (int i = 0; i < threads; ++i) threads_.emplace_back([this, i] { Run(i); });
@@ -37,9 +26,20 @@ void RenderPool::Start(uint64_t id, std::shared_ptr<const Renderer> renderer,
   task->id = id;
   task->renderer = std::move(renderer);
   task->lease = lease;
+  Enqueue(std::move(task));
+}
+
+void RenderPool::Start(uint64_t id, Job job) {
+  auto task = std::make_shared<Task>();
+  task->id = id;
+  task->job = std::move(job);
+  Enqueue(std::move(task));
+}
+
+void RenderPool::Enqueue(std::shared_ptr<Task> task) {
   {
     std::lock_guard lock(mu_);
-    alive_[id] = task;
+    alive_[task->id] = task;
     queue_.push_back(std::move(task));
   }
   cv_.notify_one();
@@ -65,6 +65,12 @@ void RenderPool::Run(int slot) {
       if (stopping_) return;
       task = std::move(queue_.front());
       queue_.pop_front();
+    }
+    if (task->job) {
+      task->job(task->cancelled, &task->samples_done);
+      std::lock_guard lock(mu_);
+      alive_.erase(task->id);
+      continue;
     }
     if (journal_ != nullptr) journal_->BeginUnit(slot, task->lease);
     absl::StatusOr<v1::TileDelta> delta = Render(*task);

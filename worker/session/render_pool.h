@@ -1,4 +1,4 @@
-// Threads that render one lease at a time each and encode what they rendered.
+// Threads that render or filter one lease at a time each and encode what they made.
 #pragma once
 
 #include <atomic>
@@ -25,6 +25,9 @@ class RenderPool {
  public:
   // Called once for each task, on a thread of the pool.
   using Done = std::function<void(uint64_t task, absl::StatusOr<v1::TileDelta> delta)>;
+  // What a task does instead of rendering, and whom it tells, both on a thread of the pool.
+  using Job = std::function<void(const std::atomic<bool>& cancelled,
+                                 std::atomic<int64_t>* parts_done)>;
 
   // journal: gets what the threads have in hand; null = nobody asks.
   RenderPool(int threads, DeltaEncoding encoding, UnitJournal* journal, Done done);
@@ -32,6 +35,8 @@ class RenderPool {
   ~RenderPool();
 
   void Start(uint64_t task, std::shared_ptr<const Renderer> renderer, const v1::Lease& lease);
+  // Runs `job` in its turn instead; it is run, and soon ends, also when it was cancelled.
+  void Start(uint64_t task, Job job);
   // The task ends with CANCELLED, or with its delta when it was faster.
   void Cancel(uint64_t task);
   // The camera samples that the task has done so far; 0 once it has ended.
@@ -42,9 +47,11 @@ class RenderPool {
     uint64_t id = 0;
     std::shared_ptr<const Renderer> renderer;  // shared with the cache: may be dropped from it
     v1::Lease lease;
+    Job job;  // null: renders
     std::atomic<bool> cancelled = false;
     std::atomic<int64_t> samples_done = 0;
   };
+  void Enqueue(std::shared_ptr<Task> task);
   void Run(int slot);  // slot: of the journal
   absl::StatusOr<v1::TileDelta> Render(Task& task) const;
 

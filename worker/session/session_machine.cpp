@@ -50,6 +50,10 @@ absl::Status FinalStatus(const absl::Status& refusal) {
       absl::StrCat("the server refuses this worker: ", refusal.message()));
 }
 
+uint64_t LeaseOf(const v1::WorkerMessage& result) {
+  return result.has_filtered() ? result.filtered().lease_id() : result.delta().lease_id();
+}
+
 // Empty when the lease can be rendered.
 std::string FaultOf(const v1::Lease& lease, const v1::JobSettings& settings) {
   const SampleRange range{lease.sample_begin(), lease.sample_end()};
@@ -127,8 +131,7 @@ void SessionMachine::On(session_event::Received& event) {
       ForgetJob(message.forget().job());
       break;
     case v1::CoordinatorMessage::kFilter:
-      Decline(message.filter().id(), v1::DeclineLease::REASON_UNSPECIFIED,
-              "this worker filters nothing");
+      OnFilterLease(*message.mutable_filter());
       break;
     case v1::CoordinatorMessage::MESSAGE_NOT_SET:
       break;  // of a newer protocol
@@ -146,6 +149,7 @@ void SessionMachine::OnWelcome(const v1::Welcome& welcome) {
       welcome.has_heartbeat_interval() ? ToMilliseconds(welcome.heartbeat_interval()) : ttl / 3;
   heartbeat_interval_ = std::clamp(heartbeat_interval_, milliseconds(50), milliseconds(60000));
   heartbeat_time_ = now_ + heartbeat_interval_;
+  name_ = welcome.worker();
   LogLine(absl::StrCat("connected as ", welcome.worker()));
 }
 
@@ -255,11 +259,7 @@ void SessionMachine::AbandonSession() {
 }
 
 void SessionMachine::On(session_event::Rendered& event) {
-  const auto task = tasks_.find(event.task);
-  if (task == tasks_.end()) return;
-  const uint64_t lease_id = task->second.lease;
-  tasks_.erase(task);
-  renders_may_start_ = true;
+  const uint64_t lease_id = EndTask(event.task);
   if (lease_id == 0) return;
   if (!event.delta.ok()) {
     Decline(lease_id, v1::DeclineLease::REASON_UNSPECIFIED,
@@ -267,12 +267,10 @@ void SessionMachine::On(session_event::Rendered& event) {
     EraseLease(lease_id);
     return;
   }
-  leases_[lease_id].rendered = true;
-  LogLine(absl::StrCat("lease ", lease_id, " rendered"), LogLevel::kDebug);
   v1::WorkerMessage message;
   *message.mutable_delta() = *std::move(event.delta);
   message.mutable_delta()->set_lease_id(lease_id);
-  deltas_.push_back(std::move(message));
+  SendResult(lease_id, std::move(message));
 }
 
 void SessionMachine::On(const session_event::Timer&) {
@@ -341,6 +339,13 @@ void SessionMachine::StartRenders() {
   for (auto id = waiting_.begin();
        id != waiting_.end() && tasks_.size() < ahead && deltas_.size() < ahead;) {
     HeldLease& held = leases_[*id];
+    if (held.filter) {
+      held.task = ++last_task_;
+      tasks_[held.task].lease = *id;
+      Emit(StartFilter{held.task, name_, *held.filter});
+      id = waiting_.erase(id);
+      continue;
+    }
     const auto scene = scenes_.find(held.scene);
     if (scene == scenes_.end() || scene->second.state != SceneEntry::State::kReady) {
       ++id;
@@ -378,7 +383,7 @@ void SessionMachine::WriteNext() {
   } else if (!deltas_.empty() && phase_ == Phase::kServing) {
     message = std::move(deltas_.front());
     deltas_.pop_front();
-    leases_.erase(message.delta().lease_id());
+    leases_.erase(LeaseOf(message));
   } else {
     return;
   }
@@ -396,7 +401,8 @@ void SessionMachine::FillHeartbeat(v1::Heartbeat* heartbeat) const {
     } else if (held.task != 0) {
       progress.set_state(v1::LeaseProgress::STATE_RENDERING);
       progress.set_samples(SamplesOf(held.task));
-    } else if (scene != scenes_.end() && scene->second.state == SceneEntry::State::kReady) {
+    } else if (held.filter ||
+               (scene != scenes_.end() && scene->second.state == SceneEntry::State::kReady)) {
       progress.set_state(v1::LeaseProgress::STATE_WAITING);
     } else {
       progress.set_state(v1::LeaseProgress::STATE_BUILDING);
@@ -445,7 +451,7 @@ void SessionMachine::EraseLease(uint64_t lease_id) {
   if (task == 0) {
     std::erase(waiting_, lease_id);
   } else if (held->second.rendered) {
-    std::erase_if(deltas_, [&](const auto& m) { return m.delta().lease_id() == lease_id; });
+    std::erase_if(deltas_, [&](const auto& m) { return LeaseOf(m) == lease_id; });
   } else if (const auto running = tasks_.find(task); running != tasks_.end()) {
     CancelTask(task, &running->second);
   }

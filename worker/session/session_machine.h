@@ -2,6 +2,7 @@
 // renderer are the caller's (worker_session.cpp); the same events give the same effects.
 //
 // Leases wait in the order in which they came, until their scene is built and a thread is free.
+// Windows of pictures to be filtered wait in the same line and need no scene.
 // Nothing outlives a broken stream but built scenes: its leases go back to the server's queue, and
 // as after a restart of the server a job's name may mean another job, unsent deltas are dropped
 // (C2 makes whoever renders them again draw the same bits).
@@ -72,6 +73,10 @@ struct Rendered {  // answers each StartRender once
   uint64_t task = 0;
   absl::StatusOr<v1::TileDelta> delta = v1::TileDelta();
 };
+struct Filtered {  // answers each StartFilter once
+  uint64_t task = 0;
+  absl::StatusOr<v1::FilteredWindow> filtered = v1::FilteredWindow();
+};
 struct Timer {};  // NextTimer has come; harmless when early
 struct DrainRequested {};
 struct StopRequested {};
@@ -80,7 +85,8 @@ struct StopRequested {};
 using SessionEvent =
     std::variant<session_event::Start, session_event::Received, session_event::WriteDone,
                  session_event::StreamClosed, session_event::SceneBuilt, session_event::Rendered,
-                 session_event::Timer, session_event::DrainRequested, session_event::StopRequested>;
+                 session_event::Filtered, session_event::Timer, session_event::DrainRequested,
+                 session_event::StopRequested>;
 
 namespace session_effect {
 struct OpenStream {};  // WorkerService.Work; the Hello follows as a Write
@@ -103,7 +109,12 @@ struct StartRender {
   std::string scene;
   v1::Lease lease;
 };
-struct CancelRender {
+struct StartFilter {
+  uint64_t task = 0;
+  std::string worker;  // the name that the server knows it by
+  v1::FilterLease lease;
+};
+struct CancelRender {  // or filter
   uint64_t task = 0;
 };
 struct GiveUp {  // a render neither ends nor moves: only the end of the process ends it
@@ -122,8 +133,9 @@ using SessionEffect =
     std::variant<session_effect::OpenStream, session_effect::Write, session_effect::HalfClose,
                  session_effect::AbortStream, session_effect::BuildScene,
                  session_effect::CancelBuild, session_effect::DropScene,
-                 session_effect::StartRender, session_effect::CancelRender, session_effect::GiveUp,
-                 session_effect::Log, session_effect::Finish>;
+                 session_effect::StartRender, session_effect::StartFilter,
+                 session_effect::CancelRender, session_effect::GiveUp, session_effect::Log,
+                 session_effect::Finish>;
 
 // Threads: none; the caller serialises calls.
 class SessionMachine {
@@ -134,6 +146,7 @@ class SessionMachine {
   static constexpr size_t kScenesMax = 64;  // remembered, failed ones included
   static constexpr size_t kControlMessagesMax = 3 * kLeasesMax;
   static constexpr int64_t kLeasePixelsMax = 256 * 256;
+  static constexpr int64_t kFilterInputPixelsMax = 512 * 512;
   // A cancelled render that does no sample for so long hangs.
   static constexpr std::chrono::seconds kHungAfter{20};
 
@@ -169,6 +182,7 @@ class SessionMachine {
     std::string scene;
     uint64_t task = 0;      // 0 = waits
     bool rendered = false;  // its delta is in deltas_
+    std::optional<v1::FilterLease> filter{};  // what it is instead: `lease` has no job then
   };
   struct Task {
     uint64_t lease = 0;  // 0 = cancelled
@@ -196,6 +210,7 @@ class SessionMachine {
   void On(const session_event::StreamClosed& event);
   void On(session_event::SceneBuilt& event);
   void On(session_event::Rendered& event);
+  void On(session_event::Filtered& event);
   void On(const session_event::Timer&);
   void On(const session_event::DrainRequested&);
   void On(const session_event::StopRequested&);
@@ -203,6 +218,11 @@ class SessionMachine {
   void OnWelcome(const v1::Welcome& welcome);
   void OnJob(v1::JobSpec& spec);
   void OnLease(v1::Lease& lease);
+  void OnFilterLease(v1::FilterLease& lease);
+  // Ends the task and gives its lease's id; 0: there is none any more.
+  uint64_t EndTask(uint64_t task);
+  // What came of a lease that was rendered or filtered, on its way to the server.
+  void SendResult(uint64_t lease_id, v1::WorkerMessage message);
   // Builds the scene of a waiting lease; declines the lease when its scene failed. A lease that
   // still waits then is looked at again when the running build ends.
   void SettleLease(uint64_t id, HeldLease& held);
@@ -240,6 +260,7 @@ class SessionMachine {
   std::vector<SessionEffect> effects_;  // of the running Step
 
   Phase phase_ = Phase::kWaiting;
+  std::string name_;  // "workers/N"
   bool draining_ = false;
   bool stream_open_ = false;  // between OpenStream and StreamClosed
   bool aborted_ = false;      // AbortStream was emitted for this stream

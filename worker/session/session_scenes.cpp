@@ -19,6 +19,7 @@ void SessionMachine::SettleLeases() {
 }
 
 void SessionMachine::SettleLease(uint64_t id, HeldLease& held) {
+  if (held.filter) return;
   const std::string job = held.lease.job();
   auto found = scenes_.find(held.scene);
   if (found != scenes_.end() && found->second.state == SceneEntry::State::kCrowded &&

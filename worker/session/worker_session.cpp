@@ -14,11 +14,13 @@
 #include "core/base/version.h"
 #include "worker/integrator/arithmetic.h"
 #include "worker/session/asset_fetcher.h"
+#include "worker/session/filter_input_reader.h"
 #include "worker/session/host_resources.h"
 #include "worker/session/path_tracer_renderer.h"
 #include "worker/session/render_pool.h"
 #include "worker/session/scene_builder.h"
 #include "worker/session/session_machine.h"
+#include "worker/session/window_filter.h"
 #include "worker/session/work_stream.h"
 
 namespace tessera {
@@ -55,6 +57,7 @@ SessionOptions MachineOptions(const WorkerOptions& options, uint64_t jitter_seed
     session.hello.add_arithmetic(ArithmeticOf(isa));
   }
   session.hello.set_same_process(options.same_process);
+  session.hello.set_filters(!options.same_process);  // on the same cores it would gain nothing
   for (const v1::CrashReport& crash : options.crashes) *session.hello.add_crashes() = crash;
   return session;
 }
@@ -70,6 +73,7 @@ class WorkerSession::Impl {
         stub_(v1::WorkerService::NewStub(channel)),
         factory_(std::move(factory)),
         fetcher_(channel, options_.cache_bytes, jitter_seed_),
+        filter_inputs_(channel),
         machine_(MachineOptions(options_, jitter_seed_,
                                 [this](uint64_t task) { return pool_->SamplesOf(task); })) {}
 
@@ -97,7 +101,11 @@ class WorkerSession::Impl {
   void Apply(session_effect::CancelBuild&) { builder_->Cancel(); }
   void Apply(session_effect::DropScene& effect);
   void Apply(session_effect::StartRender& effect);
-  void Apply(session_effect::CancelRender& effect) { pool_->Cancel(effect.task); }
+  void Apply(session_effect::StartFilter& effect);
+  void Apply(session_effect::CancelRender& effect) {
+    pool_->Cancel(effect.task);
+    filter_inputs_.Cancel(effect.task);
+  }
   void Apply(session_effect::GiveUp& effect);
   void Apply(session_effect::Log& effect) {
     if (options_.log) options_.log(effect.level, effect.line);
@@ -109,6 +117,7 @@ class WorkerSession::Impl {
   std::unique_ptr<v1::WorkerService::Stub> stub_;
   std::unique_ptr<RendererFactory> factory_;
   AssetFetcher fetcher_;
+  FilterInputReader filter_inputs_;
   SessionMachine machine_;              // Run's thread only
   std::optional<absl::Status> result_;  // Run's thread only
 
@@ -150,6 +159,7 @@ absl::Status WorkerSession::Impl::Run() {
     if (!result_) event = NextEvent();
   }
   stream_.reset();
+  filter_inputs_.Stop();
   pool_.reset();
   builder_.reset();
   return *result_;
@@ -209,6 +219,22 @@ void WorkerSession::Impl::Apply(session_effect::StartRender& effect) {
     renderer = scenes_.at(effect.scene);
   }
   pool_->Start(effect.task, std::move(renderer), effect.lease);
+}
+
+void WorkerSession::Impl::Apply(session_effect::StartFilter& effect) {
+  pool_->Start(effect.task, [this, task = effect.task, worker = std::move(effect.worker),
+                             lease = std::move(effect.lease)](const std::atomic<bool>& cancelled,
+                                                              std::atomic<int64_t>* parts_done) {
+    session_event::Filtered filtered{.task = task};
+    absl::StatusOr<std::string> input = absl::CancelledError("cancelled before it began");
+    if (!cancelled) input = filter_inputs_.Read(task, worker, lease);
+    if (input.ok()) {
+      filtered.filtered = FilterWindow(lease, *input, cancelled, parts_done);
+    } else {
+      filtered.filtered = input.status();
+    }
+    Post(std::move(filtered));
+  });
 }
 
 WorkerSession::WorkerSession(std::shared_ptr<grpc::Channel> channel, const WorkerOptions& options)

@@ -125,6 +125,7 @@ class Driver {
 
   std::vector<v1::WorkerMessage> sent;
   std::vector<StartRender> renders;
+  std::vector<StartFilter> filters;
   std::vector<uint64_t> cancelled;
   std::vector<BuildScene> builds;
   std::vector<std::string> dropped;
@@ -156,6 +157,7 @@ class Driver {
       sent.push_back(std::move(write->message));
     }
     if (auto* render = std::get_if<StartRender>(&effect)) renders.push_back(*render);
+    if (auto* filter = std::get_if<StartFilter>(&effect)) filters.push_back(*filter);
     if (auto* cancel = std::get_if<CancelRender>(&effect)) cancelled.push_back(cancel->task);
     if (auto* build = std::get_if<BuildScene>(&effect)) builds.push_back(*build);
     if (auto* drop = std::get_if<DropScene>(&effect)) dropped.push_back(drop->scene);
