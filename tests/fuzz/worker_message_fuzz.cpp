@@ -6,6 +6,7 @@
 
 #include <cstdlib>
 
+#include "core/denoise/window_codec.h"
 #include "core/film/delta_codec.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/worker_message.h"
@@ -42,6 +43,26 @@ v1::JobSettings Settings() {
   return settings;
 }
 
+// A window that the session's worker, once it has said hello, gets to filter.
+void OfferWindow(SimulatedFarm& farm) {
+  FilterOfferEvent offer{.ticket = 1};
+  offer.lease.set_job("jobs/1");
+  *offer.lease.mutable_window() = RegionProto({0, 0, 8, 8});
+  farm.Post(std::move(offer));
+}
+
+v1::Hello FilterHello(SimulatedFarm& farm) {
+  v1::Hello hello = farm.MakeHello("host", 2);
+  hello.set_filters(true);
+  return hello;
+}
+
+uint64_t ChecksumOf(const v1::FilteredWindow& filtered) {
+  return FilteredChecksum({filtered.lease_id(), filtered.job(), filtered.revision(),
+                           RectOf(filtered.window())},
+                          filtered.payload());
+}
+
 // The session's messages up to the first that is refused. Returns whether all were taken.
 bool Converse(SimulatedFarm& farm, SessionId session, std::string_view input) {
   for (int i = 0; i < kMessagesMax; ++i) {
@@ -53,9 +74,13 @@ bool Converse(SimulatedFarm& farm, SessionId session, std::string_view input) {
       v1::TileDelta& delta = *message->mutable_delta();
       delta.set_checksum(DeltaChecksum(KeyOf(delta), delta.payload()));
     }
+    if (message->has_filtered()) {
+      message->mutable_filtered()->set_checksum(ChecksumOf(message->filtered()));
+    }
     absl::StatusOr<Event> event = EventOf(session, *message, true);
     if (!event.ok() || !farm.Post(*std::move(event)).status.ok()) return false;
     if (farm.workers[session].closed) return false;
+    if (i == 0) OfferWindow(farm);
   }
   return true;
 }
@@ -65,11 +90,21 @@ std::string Conversation(uint32_t encoding) {
   SimulatedFarm farm;
   farm.Create(Settings());
   v1::WorkerMessage message;
-  *message.mutable_hello() = farm.MakeHello("host", 2);
+  *message.mutable_hello() = FilterHello(farm);
   std::string out;
   Append(message, &out);
-  const SessionId session = farm.Connect(2, "host");
+  const SessionId session = farm.next_session++;
+  farm.Post(WorkerConnectedEvent{session, FilterHello(farm)});
+  OfferWindow(farm);
   SimulatedFarm::SimulatedWorker& worker = farm.workers[session];
+  if (!worker.filters.empty()) {
+    v1::FilteredWindow& filtered = *message.mutable_filtered();
+    filtered.set_lease_id(worker.filters.front().id());
+    filtered.set_job("jobs/1");
+    *filtered.mutable_window() = worker.filters.front().window();
+    filtered.set_payload(EncodeFiltered(FilteredPlanes({0, 0, 8, 8})));
+    Append(message, &out);
+  }
   message.mutable_scene_ready()->set_job("jobs/1");
   Append(message, &out);
   while (!worker.leases.empty()) {

@@ -103,6 +103,15 @@ void Checkers::CheckLeases(const Coordinator& coordinator, Instant now) {
   }
   last_lease_ = std::max(last, last_lease_);
   was_full_ = coordinator.IsDiskFull();
+  std::map<SessionId, int> filters_of_session;
+  for (const Coordinator::FilterLeaseView& lease : coordinator.ListFilterLeases()) {
+    // Twice the most threads.
+    if (++filters_of_session[lease.session] > 8 || lease.expires_ms <= now.monotonic_ms ||
+        lease.expires_ms > now.monotonic_ms + plan_.lease_ttl_ms) {
+      Fail(absl::StrCat("session ", lease.session, " should not have filter lease ", lease.id,
+                        " at ", now.monotonic_ms));
+    }
+  }
   std::map<LeaseId, LeaseSeen> seen;
   for (const Coordinator::LeaseView& lease : leases) {
     const auto before = seen_.find(lease.id);
@@ -189,7 +198,7 @@ void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
       int64_t spp = s.spp();
       if (record.stop_reason() == v1::STOP_REASON_MAX_TIME) spp = record.progress().committed_spp();
       if (s.target_error() > 0) spp = std::min(spp, TargetSpp(s));
-      if (counts != std::vector<int64_t>(counts.size(), spp)) {
+      if (std::ranges::count(counts, spp) != std::ssize(counts)) {
         return Fail(absl::StrCat(record.name(), " ended with ", record.progress().committed_spp(),
                                  " samples per pixel, not with ", spp));
       }

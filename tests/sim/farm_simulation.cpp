@@ -31,8 +31,12 @@ class Farm {
         network_(plan, time_, random_, Ends()) {
     server_.SetNetwork(&network_);
     for (int i = 0; i < std::ssize(plan.workers); ++i) {
-      workers_.push_back(std::make_unique<SimWorker>(i, plan_, time_, random_, network_,
-                                                     TraceOf(absl::StrCat("worker ", i))));
+      workers_.push_back(std::make_unique<SimWorker>(
+          i, plan_, time_, random_, network_,
+          [this](int worker, const std::string& name, const v1::FilterLease& lease) {
+            return FilterInput(worker, name, lease);
+          },
+          TraceOf(absl::StrCat("worker ", i))));
     }
     for (int i = 0; i < std::ssize(plan.jobs); ++i) {
       clients_.emplace_back(i, plan_.jobs[static_cast<size_t>(i)], time_, network_, server_,
@@ -56,7 +60,8 @@ class Farm {
     const int64_t jobs_ended_ms = time_.now_us() / kMs;
     if (checkers_.violation().empty()) CheckEnd();
     return {checkers_.violation(), checkers_.steps(),     checkers_.counted(),
-            network_.corrupted(),  time_.now_us() / kMs, jobs_ended_ms};
+            network_.corrupted(),  time_.now_us() / kMs, jobs_ended_ms,
+            server_.windows_filtered()};
   }
 
  private:
@@ -64,6 +69,14 @@ class Farm {
     return [this, who](const std::string& line) {
       if (trace_) trace_(absl::StrFormat("%10.3f s  %s %s", 1e-6 * time_.now_us(), who, line));
     };
+  }
+
+  absl::StatusOr<std::string> FilterInput(int worker, const std::string& name,
+                                          const v1::FilterLease& lease) {
+    if (network_.IsCutOff(worker) || network_.LosesCall()) {
+      return absl::UnavailableError("the link is down");
+    }
+    return server_.FilterInput(name, lease.id());
   }
 
   SimNetwork::Ends Ends() {

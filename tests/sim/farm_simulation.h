@@ -17,6 +17,7 @@ struct SimulationResult {
   int64_t corrupted = 0;  // deltas that were damaged on their way
   int64_t virtual_ms = 0;
   int64_t jobs_ended_ms = 0;  // when the last job was seen to have ended
+  int64_t windows_filtered = 0;  // by workers
 };
 
 // `trace` gets a line for whatever happens; null = nobody wants to know.

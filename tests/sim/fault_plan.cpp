@@ -119,6 +119,7 @@ FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
   FaultPlan plan;
   plan.seed = seed;
   plan.is_large = is_large;
+  plan.filters = seed % 4 == 3;
   plan.network = MakeNetwork(random);
   plan.lease_ttl_ms = random.Between(500, 4000);
   plan.checkpoint_ms = random.Between(200, 20000);

@@ -75,6 +75,7 @@ struct FaultPlan {
   int64_t lease_target_ms = 0;
   double ingest_load = 0;
   double audit_rate = 0;
+  bool filters = false;       // windows of pictures are leased to workers
   int64_t faults_end_us = 0;  // after that nothing breaks any more
   int64_t end_us = 0;         // by then every job has ended
   bool is_large = false;      // 200 workers, 20 jobs

@@ -81,7 +81,8 @@ void SimNetwork::Carry(Stream stream, Message message, bool up) {
   }
   for (; copies > 0; --copies) {
     Message copy = message;
-    if (from_worker != nullptr && from_worker->has_delta() && !Calm() &&
+    if (from_worker != nullptr && !Calm() &&
+        (from_worker->has_delta() || from_worker->has_filtered()) &&
         random_.Chance(plan_.network.corrupt)) {
       copy = Corrupt(*from_worker);
     }

@@ -48,6 +48,7 @@ class SimNetwork {
   // Whether a client's call, or its answer, gets lost.
   bool LosesCall() { return !Calm() && random_.Chance(plan_.network.call_loss); }
   int64_t Delay();
+  bool IsCutOff(int worker) const { return IsCut(worker); }
 
   // The most messages that were ever on their way towards one worker.
   int64_t down_messages_max() const { return down_messages_max_; }

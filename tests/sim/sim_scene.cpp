@@ -1,15 +1,21 @@
 #include "tests/sim/sim_scene.h"
 
+#include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <map>
 #include <tuple>
 
 #include "core/base/sha256.h"
+#include "core/denoise/window_codec.h"
 #include "core/film/delta_codec.h"
+#include "server/coordinator/coordinator.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/worker_message.h"
 #include "tests/server/synthetic_tile.h"
 #include "tests/sim/fault_plan.h"
+#include "tests/sim/sim_random.h"
+#include "worker/session/window_filter.h"
 
 namespace tessera {
 
@@ -85,6 +91,50 @@ std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<i
 
 double SimError(int64_t committed_spp) {
   return committed_spp == 0 ? 0 : 1.0 / std::sqrt(static_cast<double>(committed_spp));
+}
+
+SimWindow MakeSimWindow(JobId job, uint64_t number) {
+  const auto x = static_cast<int>(8 * (number % 16));
+  const PixelRect frame{0, 0, 128, 16}, window = PixelRect::FromSize(x, 0, 8, 8);
+  FramePlanes planes(window);
+  SimRandom random(job * 1000 + number);
+  for (size_t c = 0; c < 3; ++c) {
+    for (size_t i = 0; i < planes.color[c].size(); ++i) {
+      planes.color[c][i] = static_cast<float>(random.Uniform());
+      planes.variance[c][i] = static_cast<float>(random.Uniform());
+    }
+  }
+  std::ranges::fill(planes.samples, 4u);
+  SimWindow made;
+  made.lease.set_job(JobName(job));
+  made.lease.set_denoiser("none");
+  made.lease.set_quality(v1::QUALITY_FINAL);
+  *made.lease.mutable_frame() = RegionProto(frame);
+  *made.lease.mutable_window() = RegionProto(window);
+  *made.lease.mutable_bounds() = RegionProto(window);
+  made.lease.set_revision(number);
+  made.input = EncodeFilterInput(planes, window);
+  made.lease.set_input_bytes(std::ssize(made.input));
+  made.lease.set_input_checksum(PayloadChecksum(made.input));
+  made.filtered = FilteredPlanes(window);
+  (*MakeDenoiser("none"))->Filter(planes, {frame, DenoiseQuality::kFinal}, window, &made.filtered);
+  return made;
+}
+
+absl::StatusOr<v1::FilteredWindow> SimFilter(const v1::FilterLease& lease,
+                                             const std::string& input, bool is_lie) {
+  const std::atomic<bool> cancelled = false;
+  std::atomic<int64_t> parts_done = 0;
+  absl::StatusOr<v1::FilteredWindow> filtered =
+      FilterWindow(lease, input, cancelled, &parts_done);
+  if (!filtered.ok() || !is_lie) return filtered;
+  FilteredPlanes planes = *DecodeFiltered(RectOf(lease.window()), filtered->payload());
+  planes.color[1][3] += 0.5f;
+  filtered->set_payload(EncodeFiltered(planes));
+  filtered->set_checksum(
+      FilteredChecksum({lease.id(), lease.job(), lease.revision(), RectOf(lease.window())},
+                       filtered->payload()));
+  return filtered;
 }
 
 }  // namespace tessera

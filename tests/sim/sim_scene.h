@@ -6,6 +6,9 @@
 #include <string>
 #include <vector>
 
+#include "absl/status/statusor.h"
+#include "core/denoise/denoiser.h"
+#include "server/coordinator/event.h"
 #include "tessera/v1/job.pb.h"
 #include "tessera/v1/worker.pb.h"
 
@@ -22,6 +25,18 @@ inline constexpr uint64_t kPoisonSeed = 666;
 // The delta of a lease, as an honest worker makes it, or one that lies.
 v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
                         const std::string& arithmetic, bool is_lie = false);
+
+// A window of a job's picture, as the server offers it, its planes, and what an honest filter makes
+// of them.
+struct SimWindow {
+  v1::FilterLease lease;  // all but its id
+  std::string input;
+  FilteredPlanes filtered;
+};
+SimWindow MakeSimWindow(JobId job, uint64_t number);
+// The answer of an honest worker, or of one that lies.
+absl::StatusOr<v1::FilteredWindow> SimFilter(const v1::FilterLease& lease,
+                                             const std::string& input, bool is_lie);
 
 // The digest of a film whose tile i has its first counts[i] samples, all in one arithmetic.
 std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts,

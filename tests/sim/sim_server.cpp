@@ -1,15 +1,26 @@
 #include "tests/sim/sim_server.h"
 
+#include <algorithm>
 #include <chrono>
+#include <map>
+#include <memory>
 #include <set>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/worker_message.h"
+#include "core/denoise/window_codec.h"
+#include "server/picture/filter_desk.h"
 #include "server/restore.h"
 #include "tests/sim/sim_scene.h"
 
 namespace tessera {
+
+struct PixelRectLess {
+  bool operator()(const PixelRect& a, const PixelRect& b) const {
+    return std::pair(a.y_begin, a.x_begin) < std::pair(b.y_begin, b.x_begin);
+  }
+};
 
 // One process, from its start to its death.
 class SimServer::Run : public EffectSink {
@@ -21,6 +32,11 @@ class SimServer::Run : public EffectSink {
         rows_(server.platter_, [this] { return alive_; }),
         films_(server.platter_, [this] { return alive_; }, [this] { PassTime(); }),
         host_(Config(), *this, [this] { return last_step_ = Now(); }),
+        desk_({FilterOn::kWorkers, Config().audit_rate, Config().audit_seed},
+              [this](Event event) { (void)host_.Post(std::move(event)); },
+              [this](JobId job) {
+                return host_.Read([&](const Coordinator& c) { return c.FilterRoom(job, Now()); });
+              }),
         saver_(&rows_, &films_, server.assets_.get(),
                [this] { return JobSaver::Clock::time_point(std::chrono::milliseconds(NowMs())); }),
         requests_(host_, *server.assets_, Config().defaults,
@@ -65,6 +81,10 @@ class SimServer::Run : public EffectSink {
   Instant Now() const { return {NowMs() + clock_offset_ms_, 1700000000000 + NowMs()}; }
   const CoordinatorHost& host() const { return host_; }
   JobRequests& requests() { return requests_; }
+  std::shared_ptr<const std::string> FilterInput(const std::string& worker, LeaseId lease) const {
+    return desk_.InputOf(host_.Read(
+        [&](const Coordinator& c) { return c.FilterTicketOf(worker, lease); }));
+  }
   // Whether a host was banned since the last call, connected or not, and what it had touched was
   // dropped.
   bool FilmsReset() {
@@ -112,6 +132,7 @@ class SimServer::Run : public EffectSink {
   }
   void On(const JobChangedEffect& e) { changed_.insert(e.job); }
   void On(const TileChangedEffect&) {}
+  void On(const FilterAnswerEffect& e) { desk_.Answer(e); }
   void On(const SaveJobEffect& e) { saver_.Save(e.job, e.with_film); }
   void On(const BanEffect& e) {
     server_.trace_(absl::StrCat("bans ", e.host));
@@ -120,7 +141,7 @@ class SimServer::Run : public EffectSink {
   }
   void On(const RemoveJobEffect& e) { saver_.Remove(e.job); }
   void On(const EvaluatePictureEffect& e) {
-    After(server_.random_.Between(1, 300) * kMs, [this, job = e.job] {
+    FilterThen(e.job, [this, job = e.job] {
       const absl::StatusOr<v1::Job> record =
           host_.Read([&](const Coordinator& c) { return c.GetJob(job); });
       if (!record.ok()) return;
@@ -130,7 +151,7 @@ class SimServer::Run : public EffectSink {
     });
   }
   void On(const FinishJobEffect& e) {
-    After(server_.random_.Between(1, 300) * kMs, [this, job = e.job, no_lies = has_bans_] {
+    FilterThen(e.job, [this, job = e.job, no_lies = has_bans_] {
       const std::shared_ptr<const Film> film =
           host_.Read([&](const Coordinator& c) { return c.FilmOf(job); });
       if (film == nullptr) return;
@@ -141,6 +162,65 @@ class SimServer::Run : public EffectSink {
       (void)Post(JobFinishedEvent{job, film->Digest()});
       Settle();
     });
+  }
+
+  // What a picture has at workers while it is filtered.
+  struct Filtering {
+    Filtering(FilterDesk& desk, JobId job) : windows(desk, job) {}
+    LeasedWindows windows;
+    std::map<PixelRect, SimWindow, PixelRectLess> offered;
+    int64_t until_us = 0;  // then the server does itself what has not come
+  };
+
+  // Filters the job's picture, then goes on with `then`.
+  void FilterThen(JobId job, std::function<void()> then) {
+    After(server_.random_.Between(1, 300) * kMs, [this, job, then = std::move(then)] {
+      if (!server_.plan_.filters) return then();
+      const auto filtering = std::make_shared<Filtering>(desk_, job);
+      filtering->until_us = server_.time_.now_us() + server_.random_.Between(0, 4 * kSecond);
+      const int64_t room = filtering->windows.Room();
+      if (room < 0 || room > 8 * std::ssize(server_.plan_.workers)) {
+        server_.checkers_.Fail(absl::StrCat("room for ", room, " windows"));
+      }
+      // Sometimes more than there is room for: the rest is refused at once.
+      const int64_t count = std::min<int64_t>(16, room + server_.random_.Between(0, 2));
+      const auto first = static_cast<uint64_t>(server_.random_.Between(0, 1000));
+      for (int64_t i = 0; i < count; ++i) {
+        SimWindow window = MakeSimWindow(job, first + static_cast<uint64_t>(i));
+        FilterOffer offer{.frame = RectOf(window.lease.frame()),
+                          .window = RectOf(window.lease.window()),
+                          .bounds = RectOf(window.lease.bounds()),
+                          .denoiser = window.lease.denoiser(),
+                          .quality = window.lease.quality(),
+                          .revision = window.lease.revision(),
+                          .input = std::make_shared<const std::string>(window.input)};
+        filtering->offered[offer.window] = std::move(window);
+        filtering->windows.Offer(std::move(offer));
+      }
+      Await(filtering, then);
+    });
+  }
+
+  void Await(const std::shared_ptr<Filtering>& filtering, const std::function<void()>& then) {
+    for (const LeasedWindows::Answer& answer : filtering->windows.Take()) {
+      const auto offered = filtering->offered.extract(answer.window);
+      if (offered.empty()) {
+        server_.checkers_.Fail("a window was answered twice");
+        continue;
+      }
+      if (answer.planes == nullptr) continue;
+      ++server_.windows_filtered_;
+      if (SameBits(offered.mapped().filtered, *answer.planes)) continue;
+      if (server_.plan_.audit_rate == 0) server_.checkers_.Fail("wrong bits of a filtered window");
+      if (!answer.is_audited) continue;
+      filtering->windows.ReportLie(answer.host);
+      if (FilmsReset()) {
+        host_.Read([this](const Coordinator& c) { server_.checkers_.OnReset(c); });
+      }
+    }
+    Settle();
+    if (filtering->windows.empty() || server_.time_.now_us() >= filtering->until_us) return then();
+    After(50 * kMs, [this, filtering, then] { Await(filtering, then); });
   }
 
   SimServer& server_;
@@ -156,6 +236,7 @@ class SimServer::Run : public EffectSink {
   SimRows rows_;
   SimFilms films_;
   CoordinatorHost host_;
+  FilterDesk desk_;
   JobSaver saver_;
   JobRequests requests_;
 };
@@ -232,6 +313,13 @@ void SimServer::Lost(SimNetwork::Stream stream) {
   if (run_ == nullptr) return;
   (void)run_->Post(WorkerGoneEvent{stream});
   Settle();
+}
+
+absl::StatusOr<std::string> SimServer::FilterInput(const std::string& worker, LeaseId lease) {
+  if (run_ == nullptr) return absl::UnavailableError("the server is down");
+  const std::shared_ptr<const std::string> input = run_->FilterInput(worker, lease);
+  if (input == nullptr) return absl::NotFoundError("the lease is gone");
+  return *input;
 }
 
 JobRequests& SimServer::requests() { return run_->requests(); }

@@ -37,10 +37,14 @@ class SimServer {
   void Receive(SimNetwork::Stream stream, v1::WorkerMessage message);
   void Lost(SimNetwork::Stream stream);
 
+  // As WorkerService.ReadFilterInput.
+  absl::StatusOr<std::string> FilterInput(const std::string& worker, LeaseId lease);
+
   // Clients; is_up() only.
   JobRequests& requests();
   const CoordinatorHost& host() const;
   SimPlatter& platter() { return platter_; }
+  int64_t windows_filtered() const { return windows_filtered_; }  // by workers
   // To be called after whatever may have changed a job.
   void Settle();
 
@@ -58,6 +62,7 @@ class SimServer {
   std::unique_ptr<AssetStore> assets_;
   std::shared_ptr<Run> run_;  // null while it is down
   uint64_t runs_ = 0;
+  int64_t windows_filtered_ = 0;
 };
 
 }  // namespace tessera

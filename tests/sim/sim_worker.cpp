@@ -20,13 +20,14 @@ int64_t MicrosecondsOf(SessionTime time) {
 }  // namespace
 
 SimWorker::SimWorker(int index, const FaultPlan& plan, VirtualTime& time, SimRandom& random,
-                     SimNetwork& network, Trace trace)
+                     SimNetwork& network, FilterInputs filter_inputs, Trace trace)
     : index_(index),
       plan_(plan),
       me_(plan.workers.at(static_cast<size_t>(index))),
       time_(time),
       random_(random),
       network_(network),
+      filter_inputs_(std::move(filter_inputs)),
       trace_(std::move(trace)) {}
 
 void SimWorker::Start() {
@@ -42,6 +43,7 @@ void SimWorker::Start() {
   options.hello.set_threads(me_.threads);
   options.hello.set_memory_bytes(me_.memory_bytes);
   options.hello.set_version("sim");
+  options.hello.set_filters(plan_.filters);
   options.hello.add_isa_classes("x86-64-v3");
   if (crash_) *options.hello.add_crashes() = *std::exchange(crash_, std::nullopt);
   options.hello.add_arithmetic(me_.arithmetic);
@@ -168,7 +170,10 @@ void SimWorker::Apply(session_effect::BuildScene& effect) {
 }
 
 void SimWorker::Apply(session_effect::StartRender& effect) {
-  tasks_[effect.task] = {effect.task, scenes_.at(effect.scene), effect.lease};
+  Task& task = tasks_[effect.task];
+  task.id = effect.task;
+  task.settings = scenes_.at(effect.scene);
+  task.lease = effect.lease;
   queue_.push_back(effect.task);
   StartThreads();
 }
@@ -184,6 +189,7 @@ void SimWorker::StartThreads() {
     int64_t took_us = static_cast<int64_t>(samples / me_.samples_per_ms * 1000 *
                                            (0.9 + 0.2 * random_.Uniform()));
     Task& task = tasks_.at(id);
+    if (task.filter) took_us = random_.Between(1, random_.Chance(0.2) ? 5000 : 200) * kMs;
     if (task.cancelled) took_us = 0;
     const int64_t hang_us = std::exchange(hang_us_, 0);
     task.running = true;
@@ -211,7 +217,7 @@ void SimWorker::Crash(int signal) {
   report.set_signal(signal);
   report.set_process_id(static_cast<int>(process_));
   for (const auto& [id, task] : tasks_) {
-    if (!task.running) continue;
+    if (!task.running || task.filter) continue;
     v1::CrashReport::Unit& unit = *report.add_units();
     unit.set_job(task.lease.job());
     unit.set_tile_index(task.lease.tile_index());
@@ -224,6 +230,14 @@ void SimWorker::Crash(int signal) {
 
 void SimWorker::EndRender(uint64_t id) {
   const Task& ended = tasks_.at(id);
+  if (ended.filter) {
+    session_event::Filtered filtered = Filter(ended);
+    tasks_.erase(id);
+    --busy_;
+    Post(std::move(filtered));
+    if (machine_ != nullptr) StartThreads();
+    return;
+  }
   const bool is_poisoned = ended.settings.seed() == kPoisonSeed &&
                            ended.lease.tile_index() == 1 && ended.lease.sample_begin() == 0;
   if (is_poisoned && !ended.cancelled) {
@@ -244,6 +258,26 @@ void SimWorker::EndRender(uint64_t id) {
   }
   Post(std::move(rendered));
   if (machine_ != nullptr) StartThreads();
+}
+
+session_event::Filtered SimWorker::Filter(const Task& task) {
+  session_event::Filtered filtered{.task = task.id};
+  absl::StatusOr<std::string> input = absl::CancelledError("cancelled");
+  if (!task.cancelled) input = filter_inputs_(index_, task.filter->worker, task.filter->lease);
+  if (input.ok()) {
+    filtered.filtered = SimFilter(task.filter->lease, *input, random_.Chance(me_.lies));
+  } else {
+    filtered.filtered = input.status();
+  }
+  return filtered;
+}
+
+void SimWorker::Apply(session_effect::StartFilter& effect) {
+  Task& task = tasks_[effect.task];
+  task.id = effect.task;
+  task.filter = effect;
+  queue_.push_back(effect.task);
+  StartThreads();
 }
 
 void SimWorker::Apply(session_effect::CancelRender& effect) {

@@ -7,6 +7,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,8 +22,11 @@ namespace tessera {
 class SimWorker {
  public:
   using Trace = std::function<void(const std::string&)>;
+  // The planes of a lease of the worker, as WorkerService.ReadFilterInput gives them.
+  using FilterInputs = std::function<absl::StatusOr<std::string>(
+      int index, const std::string& worker, const v1::FilterLease& lease)>;
   SimWorker(int index, const FaultPlan& plan, VirtualTime& time, SimRandom& random,
-            SimNetwork& network, Trace trace);
+            SimNetwork& network, FilterInputs filter_inputs, Trace trace);
 
   void Start();
   // Network.
@@ -45,6 +49,7 @@ class SimWorker {
     uint64_t id = 0;
     v1::JobSettings settings;
     v1::Lease lease;
+    std::optional<session_effect::StartFilter> filter{};  // what it is instead of a render
     bool cancelled = false;
     bool running = false;
     int64_t works_from_us = 0;  // after whatever holds it up
@@ -57,6 +62,7 @@ class SimWorker {
   void After(int64_t delay_us, std::function<void()> run);  // unless this process has died by then
   void StartThreads();
   void EndRender(uint64_t id);
+  session_event::Filtered Filter(const Task& task);
   void Crash(int signal);  // what supervises it tells the server
 
   void Apply(session_effect::OpenStream&);
@@ -67,6 +73,7 @@ class SimWorker {
   void Apply(session_effect::CancelBuild&) { build_cancelled_ = true; }
   void Apply(session_effect::DropScene& effect) { scenes_.erase(effect.scene); }
   void Apply(session_effect::StartRender& effect);
+  void Apply(session_effect::StartFilter& effect);
   void Apply(session_effect::CancelRender& effect);
   int64_t SamplesOf(uint64_t task) const;
   void Apply(session_effect::GiveUp& effect);
@@ -79,6 +86,7 @@ class SimWorker {
   VirtualTime& time_;
   SimRandom& random_;
   SimNetwork& network_;
+  const FilterInputs filter_inputs_;
   const Trace trace_;
 
   std::unique_ptr<SessionMachine> machine_;

@@ -40,14 +40,16 @@ TEST(Replay, IsTheSameRun) {
 
 // The faults must meet work: a simulator in which nothing happens proves nothing.
 TEST(Plans, BreakWhatTheySay) {
-  int64_t counted = 0, corrupted = 0;
+  int64_t counted = 0, corrupted = 0, windows_filtered = 0;
   for (uint64_t seed = 0; seed < 100; ++seed) {
     const SimulationResult result = ExpectHolds(seed);
     counted += result.counted;
     corrupted += result.corrupted;
+    windows_filtered += result.windows_filtered;
   }
   EXPECT_GT(counted, 5000);
   EXPECT_GT(corrupted, 5);
+  EXPECT_GT(windows_filtered, 50);
 }
 
 // A calm farm of two workers and one job; only the first worker's third render hangs, for ever.
