@@ -183,14 +183,15 @@ ThreadWorker::~ThreadWorker() {
   thread_.join();
 }
 
-ServerProcess::ServerProcess(const std::string& data_dir, int port) {
+ServerProcess::ServerProcess(const std::string& data_dir, int port,
+                             const std::vector<std::string>& flags) {
   const std::string port_file = data_dir + "/ports";
   std::filesystem::remove(port_file);
-  process_ = std::make_unique<ChildProcess>(
-      std::vector<std::string>{TESSERA_SERVER, "--listen", "127.0.0.1:" + std::to_string(port),
-                               "--http", "127.0.0.1:0", "--data-dir", data_dir + "/data",
-                               "--port-file", port_file},
-      data_dir + "/server.log");
+  std::vector<std::string> command{TESSERA_SERVER, "--listen", "127.0.0.1:" + std::to_string(port),
+                                   "--http", "127.0.0.1:0", "--data-dir", data_dir + "/data",
+                                   "--port-file", port_file};
+  command.insert(command.end(), flags.begin(), flags.end());
+  process_ = std::make_unique<ChildProcess>(command, data_dir + "/server.log");
   const bool started = Eventually([&] {
     std::ifstream file(port_file);  // first line: the gRPC port, "grpc PORT"
     std::string line;

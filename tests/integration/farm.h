@@ -75,8 +75,9 @@ class ThreadWorker {
 // A tessera-server with its data in a directory of its own.
 class ServerProcess {
  public:
-  // data_dir must outlive it. port 0: the system chooses.
-  explicit ServerProcess(const std::string& data_dir, int port = 0);
+  // data_dir must outlive it. port 0: the system chooses. flags: further ones.
+  explicit ServerProcess(const std::string& data_dir, int port = 0,
+                         const std::vector<std::string>& flags = {});
 
   int port() const { return port_; }
   std::string address() const { return "127.0.0.1:" + std::to_string(port_); }
