@@ -117,7 +117,7 @@ def main() -> int:
         folder.mkdir(parents=True, exist_ok=True)
     print("| view | brightness over Cycles' | R | G | B | ratio of pixels, quartiles |")
     print("|---|---|---|---|---|---|", flush=True)
-    for view in views.chosen(args.views, args.scenes):
+    for view in views.chosen(args.views, args.scenes, views.VIEWS + views.PROBES):
         ours, theirs = pair_of(view, args)
         if ours is None:
             print(f"{view.name}: left out, no picture by Cycles", file=sys.stderr)

@@ -37,15 +37,22 @@ VIEWS = (
     View("still_life", "still_life.glb", own=True),
 )
 
+# White bodies in white light: pictures to look at, without noise to compare.
+PROBES = (
+    View("furnace", "furnace.glb", sky=1, own=True),
+    View("furnace_closed", "furnace_closed.glb", own=True),
+)
 
-def chosen(names: str | None, folder: pathlib.Path | None) -> list[View]:
-    """The views that are named, comma-separated; all without names.
+
+def chosen(names: str | None, folder: pathlib.Path | None,
+           all_views: tuple[View, ...] = VIEWS) -> list[View]:
+    """Those of `all_views` that are named, comma-separated; all without names.
 
     Those of other people's files are left out where `folder` is not given, which is said.
     """
-    wanted = names.split(",") if names else [view.name for view in VIEWS]
+    wanted = names.split(",") if names else [view.name for view in all_views]
     found = []
-    for view in VIEWS:
+    for view in all_views:
         if view.name not in wanted:
             continue
         if not view.own and folder is None:
