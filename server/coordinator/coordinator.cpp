@@ -31,10 +31,12 @@ Coordinator::~Coordinator() = default;
 StepResult Coordinator::Step(Event event, Instant now) {
   now_ = now;
   result_ = {};
-  // These two come from each worker many times a second: they say what they change.
-  const bool is_frequent =
-      std::holds_alternative<DeltaEvent>(event) || std::holds_alternative<HeartbeatEvent>(event);
-  if (!is_frequent) units_changed_ = true;
+  // These come from each of many workers: they say themselves what they change.
+  const bool is_of_one_worker = std::holds_alternative<DeltaEvent>(event) ||
+                                std::holds_alternative<HeartbeatEvent>(event) ||
+                                std::holds_alternative<SceneReadyEvent>(event) ||
+                                std::holds_alternative<WorkerConnectedEvent>(event);
+  if (!is_of_one_worker) units_changed_ = true;
   std::visit([this](auto& e) { On(e); }, event);
   ExpireLeases();
   ExpireFilterLeases();

@@ -121,6 +121,7 @@ void Coordinator::On(WorkerConnectedEvent& event) {
       DurationOfMs(std::max<int64_t>(1, config_.lease_ttl_ms / 4));
   const v1::Hello& hello = workers_.emplace(event.session, std::move(worker)).first->second->hello;
   Send(event.session, std::move(message));
+  may_take_.insert(event.session);
   for (const v1::CrashReport& crash : hello.crashes()) OnCrash(hello.host(), crash);
   waiting_changed_ = true;
 }
@@ -437,10 +438,14 @@ void Coordinator::RaceIdleWorkers() {
   }
 }
 
-// A suspect is raced late, and alone: if it is to blame, both crashes count.
+// Not one that takes what leases take just now: when deltas wait for the server, another one would
+// come after it. A suspect is raced late, and alone: if it is to blame, both crashes count.
 bool Coordinator::MayRace(const Lease& lease) const {
   const Job& job = *jobs_.at(lease.job);
   if (job.leases_of_unit.at(lease.unit).size() > 1) return false;
+  const auto held_ms = static_cast<double>(now_.monotonic_ms - lease.issued_ms);
+  const double slow_ms = static_cast<double>(config_.lease_ttl_ms) / 4;
+  if (held_ms < slow_ms + 2 * job.hold_ms) return false;
   return !job.suspects.contains(lease.unit) ||
          now_.monotonic_ms - lease.issued_ms >= 4 * config_.lease_ttl_ms;
 }

@@ -100,6 +100,46 @@ TEST(CoordinatorLeases, LeasesWhoseSceneIsBuiltAreKept) {
   EXPECT_EQ(farm.workers[worker].leases.front().id(), first);
 }
 
+TEST(CoordinatorLeases, WhatFollowsADeltaOnTheSameLinkIsNotLate) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(2));
+  const SessionId worker = farm.Connect(1);
+  ASSERT_EQ(farm.workers[worker].leases.size(), 3u);
+  do {
+    farm.now_ms += 900;
+    farm.Post(TickEvent{});
+  } while (farm.RenderOne(worker));
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
+  EXPECT_EQ(farm.coordinator.Totals().leases_expired, 0);
+}
+
+// Forty workers render faster than the server takes in: each delta waits for 2.4 s, longer than a
+// lease lasts. Nothing is rendered a second time for that, neither as lost nor as a race.
+TEST(CoordinatorLeases, DeltasThatWaitForTheServerMakeNoWorkTwice) {
+  constexpr int kWorkers = 40;
+  SimulatedFarm farm;
+  v1::JobSettings settings = SmallSettings(2);
+  settings.set_width(160);
+  settings.set_height(160);
+  const JobId job = farm.Create(settings);
+  for (int i = 0; i < kWorkers; ++i) farm.Connect(1);
+  int64_t steps = 0;
+  for (bool any = true; any;) {
+    any = false;
+    for (SessionId session = 1; session <= kWorkers; ++session) {
+      if (!farm.RenderOne(session)) continue;
+      any = true;
+      farm.now_ms += 20;
+      if (++steps % 5 == 0) farm.Post(TickEvent{});
+    }
+  }
+  const CoordinatorTotals totals = farm.coordinator.Totals();
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
+  EXPECT_EQ(totals.leases_expired, 0);
+  EXPECT_EQ(totals.deltas_refused, 0);
+  EXPECT_EQ(totals.leases_granted, totals.deltas_merged);
+}
+
 // A worker of a fiftieth of the other's speed gets smaller ranges, and the film the same bits.
 TEST(CoordinatorLeases, LeasesAreCutToEachWorkersSpeed) {
   CoordinatorConfig config = SmallConfig();
