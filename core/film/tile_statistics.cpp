@@ -1,20 +1,40 @@
 #include "core/film/tile_statistics.h"
 
+#include <algorithm>
+
 #include "core/base/check.h"
 #include "core/film/fold.h"
 
 namespace tessera {
 namespace {
 
-// Joins one channel over all pixels with one weight for the whole tile.
+// Tiles of a large film are in main memory when a delta comes, and a processor's own prefetching
+// ends with each page, about a plane: the next plane is asked for while this one is folded.
+constexpr int64_t kStridePx = 64;
+constexpr int64_t kLinePx = 16;
+
+void Prefetch(const float* from) {
+  for (int64_t i = 0; i < kStridePx; i += kLinePx) __builtin_prefetch(from + i, 1);
+}
+
+// Joins one channel over all pixels with one weight for the whole tile. next_mean, next_msd: as
+// many values, to be folded next.
 void FoldChannel(int64_t num_pixels, float right_weight, const float* right_mean,
-                 const float* right_msd, float* mean, float* msd) {
-  for (int64_t i = 0; i < num_pixels; ++i) {
-    float joint_mean, joint_msd;
-    FoldMoments(mean[i], msd[i], right_mean[i], right_msd[i], right_weight, &joint_mean,
-                &joint_msd);
-    mean[i] = RoundMean(joint_mean);
-    msd[i] = RoundMsd(joint_msd);
+                 const float* right_msd, const float* next_mean, const float* next_msd,
+                 float* __restrict mean, float* __restrict msd) {
+  for (int64_t begin = 0; begin < num_pixels; begin += kStridePx) {
+    const int64_t end = std::min(begin + kStridePx, num_pixels);
+    if (num_pixels - begin >= kStridePx) {
+      Prefetch(next_mean + begin);
+      Prefetch(next_msd + begin);
+    }
+    for (int64_t i = begin; i < end; ++i) {
+      float joint_mean, joint_msd;
+      FoldMoments(mean[i], msd[i], right_mean[i], right_msd[i], right_weight, &joint_mean,
+                  &joint_msd);
+      mean[i] = RoundMean(joint_mean);
+      msd[i] = RoundMsd(joint_msd);
+    }
   }
 }
 
@@ -67,8 +87,10 @@ std::span<const uint32_t> TileStatistics::Counts(int half, int plane) const {
 void TileStatistics::FoldVector(const TileStatistics& right, int half, int mean_plane,
                                 float right_weight) {
   for (int plane = mean_plane; plane < mean_plane + 3; ++plane) {
+    const int next_msd_plane = std::min(plane + 4, num_float_planes() - 1);
     FoldChannel(num_pixels(), right_weight, right.Floats(half, plane).data(),
-                right.Floats(half, plane + 3).data(), Floats(half, plane).data(),
+                right.Floats(half, plane + 3).data(), Floats(half, plane + 1).data(),
+                Floats(half, next_msd_plane).data(), Floats(half, plane).data(),
                 Floats(half, plane + 3).data());
   }
 }
