@@ -1,12 +1,16 @@
 // What one coordinator takes in: real deltas from workers that render nothing (synthetic_workers.h)
 // over loopback gRPC, against a bare gRPC server that drops the same messages. Prints a markdown
-// table of rate, CPU of the server per merged pixel, and memory, by the number of workers.
-//   ingest_bench SCENE [--workers 1,10,100,1000] [--size 1920x1080] [--spp 64]
-// Coordinator and bare server alternate. The load's own CPU falls on the same machine: both kinds
-// of server meet the same load.
+// table of rate, CPU per merged pixel, and memory, by the number of workers.
+//   ingest_bench SCENE [--workers 1,10,100,1000] [--size 1920x1080] [--spp 64] [--repeats 3]
+// Coordinator and bare server alternate. The load runs on the same machine, so that what arrives is
+// what CPU there is over the CPU that a delta takes, load and server together. `share` is the
+// coordinator's rate over the bare server's by that rule, from CPU times alone: what else runs on
+// the machine does not count. Deltas above those merged are work that was done twice.
 #include <grpcpp/create_channel.h>
+#include <sys/resource.h>
 
 #include <CLI/CLI.hpp>
+#include <bit>
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
@@ -32,6 +36,7 @@ struct Options {
   std::vector<int> workers = {1, 10, 100, 1000};
   int width = 1920, height = 1056;  // whole tiles
   int64_t spp = 64;
+  int repeats = 1;
   // Of the bare server that this program runs as its own child.
   std::string bare_port_file;
   int64_t bare_leases = 0;
@@ -41,19 +46,31 @@ struct Options {
 struct Run {
   double seconds = 0;
   double server_cpu_seconds = 0;
+  double load_cpu_seconds = 0;
   int64_t deltas = 0;
   int64_t bytes = 0;
   int64_t peak_bytes = 0;
 };
 
+double OwnCpuSeconds() {
+  rusage usage = {};
+  getrusage(RUSAGE_SELF, &usage);
+  return static_cast<double>(usage.ru_utime.tv_sec + usage.ru_stime.tv_sec) +
+         1e-6 * static_cast<double>(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
+}
+
 class LoadTimer {
  public:
   explicit LoadTimer(pid_t server)
-      : server_(server), cpu_(CpuSecondsOf(server)), begin_(std::chrono::steady_clock::now()) {}
+      : server_(server),
+        cpu_(CpuSecondsOf(server)),
+        load_cpu_(OwnCpuSeconds()),
+        begin_(std::chrono::steady_clock::now()) {}
   Run Stop(const LoadCounters& counters) const {
     return {
         .seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin_).count(),
         .server_cpu_seconds = CpuSecondsOf(server_) - cpu_,
+        .load_cpu_seconds = OwnCpuSeconds() - load_cpu_,
         .deltas = counters.deltas,
         .bytes = counters.bytes,
         .peak_bytes = PeakBytesOf(server_)};
@@ -61,7 +78,7 @@ class LoadTimer {
 
  private:
   pid_t server_;
-  double cpu_;
+  double cpu_, load_cpu_;
   std::chrono::steady_clock::time_point begin_;
 };
 
@@ -128,11 +145,17 @@ Run RunBare(const char* program, const Options& options, int64_t num_leases, int
   return timer.Stop(counters);
 }
 
-void Print(const char* what, int num_workers, const Run& run, double pixels_per_delta) {
-  std::printf("| %s | %d | %lld | %.0f | %.0f | %.1f | %.0f |\n", what, num_workers,
+// CPU of server and load for a pixel that counts.
+double NsPerPixel(double cpu_seconds, int64_t num_merged) {
+  return 1e9 * cpu_seconds / (static_cast<double>(num_merged) * kTileSize * kTileSize);
+}
+
+void Print(const char* what, int num_workers, const Run& run, int64_t num_merged) {
+  std::printf("| %s | %d | %lld | %.0f | %.0f | %.1f | %.1f | %.0f | |\n", what, num_workers,
               static_cast<long long>(run.deltas), static_cast<double>(run.deltas) / run.seconds,
               1e-6 * static_cast<double>(run.bytes) / run.seconds,
-              1e9 * run.server_cpu_seconds / (static_cast<double>(run.deltas) * pixels_per_delta),
+              NsPerPixel(run.server_cpu_seconds, num_merged),
+              NsPerPixel(run.load_cpu_seconds, num_merged),
               1e-6 * static_cast<double>(run.peak_bytes));
   std::fflush(stdout);
 }
@@ -155,14 +178,24 @@ void RunAll(const char* program, const Options& options) {
   const DeltaStock stock(
       **tracer, PixelRect::FromSize(options.width / 2, options.height / 2, kTileSize, kTileSize),
       options.spp, kFeatureSpp);
+  const int64_t num_tiles =
+      int64_t{options.width / kTileSize} * (options.height / kTileSize);
+  const int64_t num_units = num_tiles * (std::bit_width(static_cast<uint64_t>(options.spp)) - 1);
   std::printf(
-      "| server | workers | deltas | deltas/s | MB/s | server's CPU, ns per merged pixel | peak "
-      "memory, MB |\n|---|---|---|---|---|---|---|\n");
+      "| server | workers | deltas | deltas/s | MB/s | server's CPU, ns per merged pixel | load's "
+      "CPU | peak memory, MB | share |\n|---|---|---|---|---|---|---|---|---|\n");
   for (const int num_workers : options.workers) {
-    const Run run = RunCoordinator(options, settings, num_workers, stock);
-    Print("coordinator", num_workers, run, kTileSize * kTileSize);
-    Print("bare gRPC", num_workers, RunBare(program, options, run.deltas, num_workers, stock),
-          kTileSize * kTileSize);
+    double cpu = 0, bare_cpu = 0;
+    for (int i = 0; i < options.repeats; ++i) {
+      const Run run = RunCoordinator(options, settings, num_workers, stock);
+      Print("coordinator", num_workers, run, num_units);
+      const Run bare = RunBare(program, options, num_units, num_workers, stock);
+      Print("bare gRPC", num_workers, bare, num_units);
+      cpu += run.server_cpu_seconds + run.load_cpu_seconds;
+      bare_cpu += bare.server_cpu_seconds + bare.load_cpu_seconds;
+    }
+    std::printf("| | %d | | | | | | | %.0f %% |\n", num_workers, 100 * bare_cpu / cpu);
+    std::fflush(stdout);
   }
 }
 
@@ -177,6 +210,7 @@ int main(int argc, char** argv) {
   app.add_option("--workers", options.workers, "How many at once")->delimiter(',');
   app.add_option("--size", size, "WxH; multiples of 32");
   app.add_option("--spp", options.spp, "A power of two");
+  app.add_option("--repeats", options.repeats, "Runs of each kind, one after the other");
   app.add_option("--bare-port-file", options.bare_port_file, "Be the bare server")->group("");
   app.add_option("--bare-leases", options.bare_leases)->group("");
   CLI11_PARSE(app, argc, argv);
