@@ -78,13 +78,14 @@ class FilterWorkers : public ::testing::Test {
 };
 
 TEST_F(FilterWorkers, TheSameBitsAsTheServersOwn) {
-  StartFarm({"--filter-on", "workers"}, 2);
+  StartFarm({"--filter-on", "workers", "--lease-ttl", "60"}, 2);
   EXPECT_EQ(RenderedPicture(1), OwnPicture(1));
   EXPECT_GT(WindowsFiltered(), 0) << server_->process().Log() << workers_[0]->Log();
 }
 
 TEST_F(FilterWorkers, AuditedAll) {
-  StartFarm({"--filter-on", "workers", "--audit-rate", "1"}, 0);
+  // Long leases: a machine that stands still for seconds loses no window.
+  StartFarm({"--filter-on", "workers", "--audit-rate", "1", "--lease-ttl", "60"}, 0);
   for (const char* const name : {"one", "two"}) {
     workers_.push_back(std::make_unique<ChildProcess>(
         std::vector<std::string>{TESSERA_WORKER, "--server", server_->address(), "--threads", "1",
