@@ -85,14 +85,56 @@ std::string AssetStore::PartPathOf(const Sha256Digest& digest) const {
   return absl::StrCat(PathOf(digest), kPartEnding);
 }
 
-bool AssetStore::Has(const Sha256Digest& digest) const {
+const AssetStore::Asset* AssetStore::FindLocked(const Sha256Digest& digest) const {
+  const auto asset = assets_.find(digest);
+  return asset == assets_.end() || asset->second.damaged ? nullptr : &asset->second;
+}
+
+bool AssetStore::Has(const Sha256Digest& digest) { return Verify(digest).ok(); }
+
+// At the first use, not at the start: a server with terabytes of scenes must serve again at once.
+absl::Status AssetStore::Verify(const Sha256Digest& digest) {
+  {
+    std::lock_guard lock(mu_);
+    const Asset* const asset = FindLocked(digest);
+    if (asset == nullptr) {
+      return absl::NotFoundError(absl::StrCat("asset ", ToHex(digest), " does not exist"));
+    }
+    if (dir_.empty() || asset->verified) return absl::OkStatus();
+  }
+  Sha256 hash;
+  std::ifstream file(PathOf(digest), std::ios::binary);
+  std::string buffer(kCopyBytes, '\0');
+  while (file.read(buffer.data(), static_cast<std::streamsize>(buffer.size())) ||
+         file.gcount() > 0) {
+    hash.Update(std::string_view(buffer.data(), static_cast<size_t>(file.gcount())));
+  }
+  if (hash.Finish() != digest) return MarkDamaged(digest);
   std::lock_guard lock(mu_);
-  return assets_.contains(digest);
+  if (const auto asset = assets_.find(digest); asset != assets_.end()) {
+    asset->second.verified = true;
+  }
+  return absl::OkStatus();
+}
+
+// Its jobs keep their references: they go on once somebody has uploaded it again.
+absl::Status AssetStore::MarkDamaged(const Sha256Digest& digest) {
+  std::lock_guard lock(mu_);
+  const auto asset = assets_.find(digest);
+  if (asset != assets_.end() && !asset->second.damaged) {
+    asset->second.damaged = true;
+    bytes_ -= std::exchange(asset->second.size_bytes, 0);
+    std::error_code ignored;
+    fs::remove(PathOf(digest), ignored);
+  }
+  return absl::DataLossError(absl::StrCat(
+      "asset ", ToHex(digest), " was damaged on the server's disk and is removed: whoever submits "
+      "its scene again uploads it again, and the jobs that need it go on"));
 }
 
 int64_t AssetStore::ReceivedBytes(const Sha256Digest& digest) {
   std::lock_guard lock(mu_);
-  if (const auto asset = assets_.find(digest); asset != assets_.end()) {
+  if (const auto asset = assets_.find(digest); asset != assets_.end() && !asset->second.damaged) {
     asset->second.use = next_use_++;
     return asset->second.size_bytes;
   }
@@ -105,9 +147,7 @@ int64_t AssetStore::ReceivedBytes(const Sha256Digest& digest) {
 absl::StatusOr<int64_t> AssetStore::Append(const Sha256Digest& digest, int64_t size_bytes,
                                            int64_t offset, const std::string& chunk) {
   std::lock_guard lock(mu_);
-  if (const auto asset = assets_.find(digest); asset != assets_.end()) {
-    return asset->second.size_bytes;
-  }
+  if (const Asset* const asset = FindLocked(digest)) return asset->size_bytes;
   const auto found = uploads_.find(digest);
   const int64_t has_bytes = found == uploads_.end() ? 0 : found->second.received_bytes;
   const auto chunk_bytes = static_cast<int64_t>(chunk.size());
@@ -177,7 +217,7 @@ absl::Status AssetStore::Complete(const Sha256Digest& digest, Upload& upload) {
     return absl::DataLossError(absl::StrCat(
         "asset ", ToHex(digest), ": the bytes that came have another SHA-256: send them again"));
   }
-  Asset asset{.size_bytes = upload.received_bytes, .use = next_use_++};
+  Asset asset{.size_bytes = upload.received_bytes, .use = next_use_++, .verified = true};
   if (dir_.empty()) {
     asset.content = std::make_shared<const std::string>(std::move(upload.content));
   } else {
@@ -193,7 +233,10 @@ absl::Status AssetStore::Complete(const Sha256Digest& digest, Upload& upload) {
           absl::StrCat("cannot rename ", PartPathOf(digest), ": ", error.message()));
     }
   }
-  assets_.emplace(digest, std::move(asset));
+  if (const auto damaged = assets_.find(digest); damaged != assets_.end()) {
+    asset.references = damaged->second.references;
+  }
+  assets_[digest] = std::move(asset);
   uploads_.erase(digest);
   return absl::OkStatus();
 }
@@ -258,17 +301,18 @@ void AssetStore::DropUploadsBeyond(size_t num_uploads) {
 }
 
 absl::StatusOr<std::string> AssetStore::Read(const Sha256Digest& digest, int64_t offset,
-                                             int64_t bytes_max) const {
+                                             int64_t bytes_max) {
+  if (absl::Status status = Verify(digest); !status.ok()) return status;
   std::shared_ptr<const std::string> content;
   int64_t size = 0;
   {
     std::lock_guard lock(mu_);
-    const auto it = assets_.find(digest);
-    if (it == assets_.end()) {
+    const Asset* const asset = FindLocked(digest);
+    if (asset == nullptr) {
       return absl::NotFoundError(absl::StrCat("asset ", ToHex(digest), " does not exist"));
     }
-    size = it->second.size_bytes;
-    content = it->second.content;
+    size = asset->size_bytes;
+    content = asset->content;
   }
   if (offset < 0 || offset > size) {
     return absl::OutOfRangeError(
@@ -280,15 +324,16 @@ absl::StatusOr<std::string> AssetStore::Read(const Sha256Digest& digest, int64_t
   std::ifstream file(PathOf(digest), std::ios::binary);
   file.seekg(offset);
   if (!file.read(bytes.data(), static_cast<std::streamsize>(count))) {
-    return absl::NotFoundError(absl::StrCat("asset ", ToHex(digest), " cannot be read"));
+    return MarkDamaged(digest);
   }
   return bytes;
 }
 
 absl::StatusOr<StoredFile> AssetStore::OpenFile(const Sha256Digest& digest) {
+  if (absl::Status status = Verify(digest); !status.ok()) return status;
   if (!dir_.empty()) {
     std::lock_guard lock(mu_);
-    if (const auto it = assets_.find(digest); it != assets_.end()) {
+    if (const auto it = assets_.find(digest); it != assets_.end() && !it->second.damaged) {
       ++it->second.references;
       return StoredFile(PathOf(digest), [this, digest] {
         std::lock_guard close_lock(mu_);
@@ -326,7 +371,7 @@ absl::Status AssetStore::CheckPresentLocked(const std::vector<Sha256Digest>& dig
   std::string missing;
   size_t num_missing = 0;
   for (const Sha256Digest& digest : digests) {
-    if (assets_.contains(digest)) continue;
+    if (FindLocked(digest) != nullptr) continue;
     if (++num_missing <= 8) absl::StrAppend(&missing, missing.empty() ? "" : ", ", ToHex(digest));
   }
   if (num_missing > 0) {

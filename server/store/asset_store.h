@@ -46,7 +46,8 @@ class AssetStore {
                                                           int64_t bytes_max);
   ~AssetStore();
 
-  bool Has(const Sha256Digest& digest) const;
+  // Whether it is there and whole; the first time in a run of the server its file is hashed.
+  bool Has(const Sha256Digest& digest);
   // Bytes of an upload that is under way, 0 if there is none. Keeps the asset from being dropped
   // for lack of room before its job comes.
   int64_t ReceivedBytes(const Sha256Digest& digest);
@@ -59,10 +60,9 @@ class AssetStore {
   absl::StatusOr<int64_t> Append(const Sha256Digest& digest, int64_t size_bytes, int64_t offset,
                                  const std::string& chunk);
   // At most `bytes_max` bytes from `offset`; empty at the end.
-  // Errors: NOT_FOUND, OUT_OF_RANGE.
-  absl::StatusOr<std::string> Read(const Sha256Digest& digest, int64_t offset,
-                                   int64_t bytes_max) const;
-  // For libraries that read files only. Errors: NOT_FOUND; RESOURCE_EXHAUSTED (temporary folder).
+  // Errors: NOT_FOUND; OUT_OF_RANGE; DATA_LOSS: the file on the disk was damaged, and is removed.
+  absl::StatusOr<std::string> Read(const Sha256Digest& digest, int64_t offset, int64_t bytes_max);
+  // For libraries that read files only. Errors: as Read; RESOURCE_EXHAUSTED (temporary folder).
   absl::StatusOr<StoredFile> OpenFile(const Sha256Digest& digest);
 
   // Errors: FAILED_PRECONDITION naming what is missing.
@@ -88,6 +88,8 @@ class AssetStore {
     int64_t size_bytes = 0;
     int64_t use = 0;  // order of last use
     int references = 0;  // of jobs, and of files that are open
+    bool verified = false;  // this run of the server has seen its bytes' SHA-256
+    bool damaged = false;   // its bytes are gone: it is to be uploaded again
     std::shared_ptr<const std::string> content{};  // in memory; shared with readers
   };
   struct Upload {
@@ -99,6 +101,10 @@ class AssetStore {
 
   AssetStore(std::string dir, int64_t bytes_max) : dir_(std::move(dir)), bytes_max_(bytes_max) {}
   absl::Status Scan();
+  const Asset* FindLocked(const Sha256Digest& digest) const;  // null: it is to be uploaded
+  // OK once the asset's file has been hashed in this run. Errors: as Read's.
+  absl::Status Verify(const Sha256Digest& digest);
+  absl::Status MarkDamaged(const Sha256Digest& digest);
   std::string PathOf(const Sha256Digest& digest) const;
   std::string PartPathOf(const Sha256Digest& digest) const;
   absl::Status CheckPresentLocked(const std::vector<Sha256Digest>& digests) const;

@@ -145,5 +145,48 @@ TEST_P(AssetStoreTest, AbandonedUploadsDoNotShutTheStore) {
 INSTANTIATE_TEST_SUITE_P(Places, AssetStoreTest, testing::Bool(),
                          [](const auto& place) { return place.param ? "Disk" : "Memory"; });
 
+TEST_P(AssetStoreTest, AFileThatTheDiskHasDamagedIsUploadedAgain) {
+  if (!GetParam()) GTEST_SKIP() << "memory has no files";
+  const std::string bytes = "hello, world";
+  const Sha256Digest digest = Sha256Of(bytes);
+  for (const bool by_reading : {false, true}) {
+    ASSERT_TRUE(Put(bytes).ok());
+    store_.reset();
+    std::ofstream(dir_ + "/" + ToHex(digest)) << "hello, wOrld";
+    Open(0);
+    ASSERT_TRUE(store_->Reference(7, {digest}).ok()) << "nobody has looked at it yet";
+    if (by_reading) {
+      const absl::Status status = store_->Read(digest, 0, 100).status();
+      EXPECT_TRUE(absl::IsDataLoss(status)) << status;
+      EXPECT_NE(status.message().find("uploads it again"), absl::string_view::npos);
+    }
+    EXPECT_FALSE(store_->Has(digest));
+    EXPECT_EQ(store_->ReceivedBytes(digest), 0);
+    EXPECT_EQ(store_->bytes(), 0);
+    EXPECT_TRUE(absl::IsFailedPrecondition(store_->CheckPresent({digest})));
+    ASSERT_TRUE(Put(bytes).ok());
+    EXPECT_TRUE(store_->Has(digest));
+    EXPECT_EQ(*store_->Read(digest, 0, 100), bytes);
+    EXPECT_EQ(store_->bytes(), 12);
+    store_->Release(7);
+  }
+}
+
+TEST_P(AssetStoreTest, AFileThatIsCutOrGoneIsUploadedAgain) {
+  if (!GetParam()) GTEST_SKIP() << "memory has no files";
+  const std::string bytes = "hello, world";
+  const Sha256Digest digest = Sha256Of(bytes);
+  ASSERT_TRUE(Put(bytes).ok());
+  std::filesystem::resize_file(dir_ + "/" + ToHex(digest), 5);  // it was whole when it came
+  EXPECT_TRUE(absl::IsDataLoss(store_->Read(digest, 0, 100).status()));
+  ASSERT_TRUE(Put(bytes).ok());
+  store_.reset();
+  Open(0);
+  std::filesystem::remove(dir_ + "/" + ToHex(digest));
+  EXPECT_TRUE(absl::IsDataLoss(store_->OpenFile(digest).status()));
+  ASSERT_TRUE(Put(bytes).ok());
+  EXPECT_EQ(*store_->Read(digest, 0, 100), bytes);
+}
+
 }  // namespace
 }  // namespace tessera
