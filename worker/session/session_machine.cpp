@@ -469,6 +469,15 @@ void SessionMachine::CancelTask(uint64_t id, Task* task) {
 
 // A render that hangs holds its thread for ever, and the next worker's if it is the scene's fault.
 void SessionMachine::WatchCancelledTasks() {
+  if (building_.empty() || (!build_cancelled_ && ScenesInUse().contains(building_))) {
+    build_unwanted_.reset();
+  } else if (!build_unwanted_) {
+    build_unwanted_ = now_;
+  } else if (now_ - *build_unwanted_ >= kBuildHungAfter && !build_given_up_) {
+    build_given_up_ = true;
+    Emit(GiveUp{absl::StrCat("the building of a scene has not ended, which no lease has waited for "
+                             "since ", seconds(kBuildHungAfter).count(), " s")});
+  }
   for (auto& [id, task] : tasks_) {
     if (task.lease != 0 || task.given_up) continue;
     if (const int64_t samples = SamplesOf(id); samples != task.samples) {

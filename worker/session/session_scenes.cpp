@@ -33,7 +33,7 @@ void SessionMachine::SettleLease(uint64_t id, HeldLease& held) {
     const int64_t bytes_least = AssetBytesOf(jobs_[job].settings);
     if (bytes_least <= options_.memory_bytes) MakeRoom(bytes_least);
     building_ = held.scene;
-    build_cancelled_ = false;
+    build_cancelled_ = build_given_up_ = false;
     scenes_[held.scene].last_use = ++use_counter_;
     Emit(BuildScene{held.scene, jobs_[job].settings, job});
     return;

@@ -111,6 +111,29 @@ TEST(SessionMachine, ARenderThatHangsAfterItsCancellationEndsTheProcess) {
   EXPECT_EQ(d.given_up, 1) << "once";
 }
 
+TEST(SessionMachine, ABuildThatHangsAfterItsCancellationEndsTheProcess) {
+  Driver d(1);
+  d.Serve();
+  d.Job("jobs/1", Settings());
+  d.Lease(1);
+  ASSERT_EQ(d.builds.size(), 1u);
+  const auto pass = [&](seconds time) {
+    for (seconds t(0); t < time; t += seconds(3)) {
+      d.Advance(seconds(3));
+      d.Flush();
+    }
+  };
+  pass(2 * SessionMachine::kBuildHungAfter);
+  EXPECT_EQ(d.given_up, 0) << "how long it may build is the server's to say";
+  v1::CoordinatorMessage revoke;
+  revoke.mutable_revoke()->set_id(1);
+  d.Receive(revoke);
+  pass(SessionMachine::kBuildHungAfter - seconds(6));
+  EXPECT_EQ(d.given_up, 0);
+  pass(seconds(60));
+  EXPECT_EQ(d.given_up, 1) << "once";
+}
+
 TEST(SessionMachine, ARenderThatIsNotCancelledIsTheServersToJudge) {
   Driver d(1);
   d.ServeScene({1});
