@@ -136,12 +136,26 @@ absl::StatusOr<std::vector<v1::Worker>> FarmClient::ListWorkers() {
   return std::vector<v1::Worker>(response.workers().begin(), response.workers().end());
 }
 
+namespace {
+
+// A watch of changes leaves out what is as it was.
+void KeepWhatHasNotChanged(const v1::Job& before, v1::Job* job) {
+  if (!job->has_settings()) *job->mutable_settings() = before.settings();
+  if (!job->has_scene() && before.has_scene()) *job->mutable_scene() = before.scene();
+  if (!job->has_sample_counts() && before.has_sample_counts()) {
+    *job->mutable_sample_counts() = before.sample_counts();
+  }
+}
+
+}  // namespace
+
 absl::StatusOr<v1::Job> FarmClient::Watch(const std::string& name,
                                           const std::function<void(const v1::Job&)>& on_change,
                                           std::chrono::milliseconds min_interval,
                                           std::stop_token stop) {
   v1::WatchJobRequest request;
   request.set_name(name);
+  request.set_only_changes(true);
   *request.mutable_min_interval() =
       google::protobuf::util::TimeUtil::MillisecondsToDuration(min_interval.count());
   v1::Job last;
@@ -149,8 +163,9 @@ absl::StatusOr<v1::Job> FarmClient::Watch(const std::string& name,
     const std::unique_ptr<grpc::ClientReaderInterface<v1::Job>> stream =
         jobs_->WatchJob(context, request);
     v1::Job job;
-    while (stream->Read(&job)) {
+    for (bool is_first = true; stream->Read(&job); is_first = false) {
       *progressed = true;
+      if (!is_first) KeepWhatHasNotChanged(last, &job);
       last = job;
       *request.mutable_from_revision() = job.revision();
       if (on_change) on_change(last);

@@ -37,6 +37,8 @@ int Refuse(const absl::Status& status) {
 struct Arguments {
   ServiceOptions service;
   double lease_ttl_seconds = 2;
+  double build_budget_seconds = 600;
+  double write_deadline_seconds = 60;
   std::string port_file;
   bool verbose = false;
 };
@@ -46,6 +48,23 @@ struct Arguments {
 void KeepMemoryOfDeltas() {
   mallopt(M_MMAP_THRESHOLD, 4 << 20);
   mallopt(M_TRIM_THRESHOLD, 64 << 20);
+}
+
+void AddClientLimits(CLI::App& app, ClientLimitOptions& limits) {
+  app.add_option("--client-jobs", limits.jobs,
+                 "That one client (token, or else address) may have at once, 0 = any number")
+      ->capture_default_str();
+  app.add_option("--client-pixels", limits.pixels, "Of all its jobs that have not ended; 0 = any")
+      ->capture_default_str();
+  app.add_option("--client-samples", limits.samples, "Of all their pixels; 0 = any number")
+      ->capture_default_str();
+  app.add_option("--client-asset-bytes", limits.asset_bytes,
+                 "Of the scenes of all its jobs that have not ended, e.g. 8GB; 0 = any")
+      ->transform(CLI::AsSizeValue(false))
+      ->capture_default_str();
+  app.add_option("--client-streams", limits.streams,
+                 "Watches, pictures, films and uploads that it may have open; 0 = any number")
+      ->capture_default_str();
 }
 
 void AddOptions(CLI::App& app, Arguments& arguments) {
@@ -67,6 +86,15 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
                  "Seconds without progress after which a worker's tile is given to another")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();
+  app.add_option("--build-budget", arguments.build_budget_seconds,
+                 "Seconds that a worker may take to fetch and build a scene before others try")
+      ->check(CLI::Range(1.0, 1e6))
+      ->capture_default_str();
+  app.add_option("--write-deadline", arguments.write_deadline_seconds,
+                 "Seconds that a client may leave a message unread before its stream is cancelled")
+      ->check(CLI::Range(0.1, 1e6))
+      ->capture_default_str();
+  AddClientLimits(app, service.client_limits);
   app.add_option("--audit-rate", service.audit_rate,
                  "Share of the work that is rendered on two hosts and compared; 1 = all of it")
       ->check(CLI::Range(0.0, 1.0))
@@ -123,8 +151,12 @@ int Run(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     return app.exit(error) == 0 ? kDone : kBadInput;
   }
-  arguments.service.lease_ttl =
-      std::chrono::milliseconds(static_cast<int64_t>(1e3 * arguments.lease_ttl_seconds));
+  const auto milliseconds = [](double seconds) {
+    return std::chrono::milliseconds(static_cast<int64_t>(1e3 * seconds));
+  };
+  arguments.service.lease_ttl = milliseconds(arguments.lease_ttl_seconds);
+  arguments.service.build_budget = milliseconds(arguments.build_budget_seconds);
+  arguments.service.write_deadline = milliseconds(arguments.write_deadline_seconds);
   LogToStderr(arguments.verbose);
   absl::StatusOr<std::unique_ptr<Service>> service = Service::Start(arguments.service);
   if (!service.ok()) return Refuse(service.status());

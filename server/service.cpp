@@ -24,9 +24,11 @@
 #include "server/rpc/asset_service.h"
 #include "server/rpc/image_service.h"
 #include "server/rpc/job_service.h"
+#include "server/rpc/client_limits.h"
 #include "server/rpc/watch_hub.h"
 #include "server/rpc/worker_service.h"
 #include "server/rpc/worker_sessions.h"
+#include "server/rpc/write_deadlines.h"
 #include "server/security/access.h"
 #include "server/store/catalogue.h"
 #include "server/store/data_dir.h"
@@ -66,6 +68,17 @@ absl::Status CheckOptions(const ServiceOptions& options) {
   if (!(options.audit_rate >= 0 && options.audit_rate <= 1)) {
     return absl::InvalidArgumentError("--audit-rate: give 0 (none) to 1 (every unit)");
   }
+  if (options.build_budget.count() < 1000 || options.write_deadline.count() < 100) {
+    return absl::InvalidArgumentError(
+        "--build-budget: give a second or more; --write-deadline: a tenth or more");
+  }
+  const ClientLimitOptions& limits = options.client_limits;
+  for (const int64_t limit : {limits.jobs, limits.pixels, limits.samples, limits.asset_bytes,
+                              limits.streams}) {
+    if (limit < 0) {
+      return absl::InvalidArgumentError("--client-...: a limit is negative: give 0 for none");
+    }
+  }
   if (options.filter_threads < 0 || options.filter_threads > 1024) {
     return absl::InvalidArgumentError("--filter-threads: give 1 to 1024, or 0 for all");
   }
@@ -94,6 +107,7 @@ class Service::Impl : public EffectSink {
  private:
   absl::Status OpenStore(const ServiceOptions& options);
   void MakeServices(const ServiceOptions& options);
+  void NoteJobsOfClients();  // of earlier runs, as far as tokens tell whose they are
   absl::Status Listen(const ServiceOptions& options);
   // The job's film, from memory or disk. Errors: NOT_FOUND (the job), DATA_LOSS.
   absl::StatusOr<std::shared_ptr<const Film>> FilmOf(JobId job);
@@ -131,6 +145,8 @@ class Service::Impl : public EffectSink {
   std::unique_ptr<WorkerSessions> sessions_;
   std::unique_ptr<WatchHub> watchers_;
   Access access_;
+  std::unique_ptr<ClientLimits> limits_;
+  std::unique_ptr<WriteDeadlines> deadlines_;
   std::unique_ptr<CoordinatorHost> host_;
   std::unique_ptr<FilterDesk> desk_;
   std::unique_ptr<PictureService> pictures_;
@@ -241,6 +257,7 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   config_.version = kVersion;
   config_.defaults = {.tile_size = options.tile_size, .denoisers = DenoiserNames()};
   config_.lease_ttl_ms = options.lease_ttl.count();
+  config_.build_budget_ms = options.build_budget.count();
   config_.audit_rate = options.audit_rate;
   std::random_device secret;  // decides who checks what, never a bit
   config_.audit_seed = uint64_t{secret()} << 32 | secret();
@@ -262,6 +279,13 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
       .added = [this](JobId job) { pictures_->AddWatcher(job); },
       .removed = [this](JobId job) { pictures_->RemoveWatcher(job); }});
   host_ = std::make_unique<CoordinatorHost>(config_, *this);
+  // Of a server without a port the only client is the program around it.
+  limits_ = std::make_unique<ClientLimits>(
+      options.listen.empty() ? ClientLimitOptions{0, 0, 0, 0, 0} : options.client_limits,
+      [this](JobId job) {
+        return host_->Read([&](const Coordinator& c) { return c.IsUnfinished(job); });
+      });
+  deadlines_ = std::make_unique<WriteDeadlines>(options.write_deadline.count());
   const int cores = static_cast<int>(std::max(1u, std::thread::hardware_concurrency()));
   desk_ = std::make_unique<FilterDesk>(
       FilterDeskOptions{options.filter_on, options.audit_rate, config_.audit_seed,
@@ -277,12 +301,22 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
       std::make_unique<JobService>(*host_, *assets_, *watchers_, config_.defaults,
                                    JobKeeper{[this](JobId job) { return saver_->SaveNow(job); },
                                              [this](JobId job) { return saver_->RemoveNow(job); }},
-                                   access_);
-  asset_service_ = std::make_unique<AssetService>(*assets_, access_);
+                                   access_, *limits_, *deadlines_);
+  asset_service_ = std::make_unique<AssetService>(*assets_, access_, *limits_);
   image_service_ = std::make_unique<ImageService>(
-      *host_, *pictures_, [this](JobId job) { return FilmOf(job); }, access_);
+      *host_, *pictures_, [this](JobId job) { return FilmOf(job); }, access_, *limits_,
+      *deadlines_);
   worker_service_ = std::make_unique<WorkerService>(*host_, *sessions_, *desk_, access_);
   saver_->Start(host_.get());
+}
+
+void Service::Impl::NoteJobsOfClients() {
+  const auto jobs = host_->Read([](const Coordinator& c) { return c.ListJobs(0, SIZE_MAX); });
+  for (const v1::Job& job : jobs) {
+    if (job.owner().empty()) continue;
+    limits_->Created(ClientOf(Caller{.name = job.owner()}, ""), *ParseJobName(job.name()),
+                     job.settings());
+  }
 }
 
 absl::Status Service::Impl::Listen(const ServiceOptions& options) {
@@ -331,6 +365,7 @@ absl::Status Service::Impl::Start(const ServiceOptions& options) {
     const absl::Status status =
         RestoreJobs(*catalogue_, *films_, *assets_, config_.defaults, *host_);
     if (!status.ok()) return status;
+    NoteJobsOfClients();
   }
   if (absl::Status status = Listen(options); !status.ok()) return status;
   pump_ = std::thread([this] {
@@ -339,6 +374,9 @@ absl::Status Service::Impl::Start(const ServiceOptions& options) {
       watchers_->Pump();
       if (i % kPumpsPerTick != 0) continue;
       sessions_->Pump(Now().monotonic_ms);
+      if (const int cut = deadlines_->Pump(Now().monotonic_ms); cut > 0) {
+        ServerLog().warn("{} streams cancelled: their clients do not read (--write-deadline)", cut);
+      }
       host_->Post(TickEvent{IngestLoad()});
     }
   });

@@ -11,6 +11,7 @@
 
 #include "absl/status/statusor.h"
 #include "server/picture/filter_desk.h"
+#include "server/rpc/client_limits.h"
 #include "server/security/tls.h"
 
 namespace tessera {
@@ -28,6 +29,9 @@ struct ServiceOptions {
   bool forget_bans = false;        // that earlier runs on the data folder have pronounced
   bool insecure = false;           // plaintext on other than loopback addresses
   TlsFiles tls{};                  // of the gRPC and the HTTP port
+  std::chrono::milliseconds build_budget{600000};   // of a worker for one scene
+  std::chrono::milliseconds write_deadline{60000};  // of one message to a client that reads slowly
+  ClientLimitOptions client_limits{};
   std::string token_file{};        // empty = no tokens are asked for; see Access::Open
 };
 

@@ -143,6 +143,11 @@ std::shared_ptr<const Film> Coordinator::FilmOf(JobId id) const {
   return it->second->film;
 }
 
+bool Coordinator::IsUnfinished(JobId id) const {
+  const auto it = jobs_.find(id);
+  return it != jobs_.end() && !it->second->IsTerminal();
+}
+
 TileCost Coordinator::CostOf(JobId id, int64_t tile) const {
   const auto it = jobs_.find(id);
   if (it == jobs_.end() || it->second->costs.empty()) return {};

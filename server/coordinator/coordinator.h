@@ -39,6 +39,8 @@ struct CoordinatorConfig {
   // keep the server busy.
   int64_t lease_target_ms = 500;
   int64_t checkpoint_interval_ms = 30000;
+  // A scene that a worker has been building for so long counts as stuck there.
+  int64_t build_budget_ms = 600000;
   // How many of all units are rendered a second time, on another host, and compared before they
   // count: 0 = none, 1 = all. Which ones they are is drawn from audit_seed, which nobody may guess.
   double audit_rate = 0;
@@ -103,6 +105,8 @@ class Coordinator {
   v1::Contributions ContributionsOf(JobId job) const;
   // How often samples were taken out of the job's film, since the server was started.
   int64_t ResetsOf(JobId job) const;
+  // Whether the job exists and has not ended.
+  bool IsUnfinished(JobId job) const;
   bool IsBanned(const std::string& host) const { return banned_.contains(host); }
   // Whether nothing is handed out, as nothing could be kept.
   bool IsDiskFull() const { return !disk_full_.empty(); }
@@ -244,6 +248,8 @@ class Coordinator {
   bool NoteProgress(const v1::LeaseProgress& progress, Lease* lease);
   void Renew(LeaseId id);
   void RenewFollowers(const Worker& worker);
+  bool BuildMayGoOn(Worker& worker, JobId id);
+  void DropLeasesOf(Worker& worker, JobId id, LeaseId but);
   void ExpireLeases();
   bool IsSilent(const Worker& worker) const;
   bool FitsMemory(const Job& job) const;

@@ -151,14 +151,37 @@ void Coordinator::RenewFollowers(const Worker& worker) {
   }
 }
 
+void Coordinator::DropLeasesOf(Worker& worker, JobId id, LeaseId but) {
+  const std::set<LeaseId> leases = worker.leases;
+  for (const LeaseId other : leases) {
+    if (other != but && leases_.at(other).job == id) DropLease(other, true);
+  }
+}
+
+// Whether the worker is still within the time that it may take to build the job's scene. How far it
+// has come is not measured: beyond that time it counts as stuck, and others try.
+bool Coordinator::BuildMayGoOn(Worker& worker, JobId id) {
+  const int64_t begin_ms = worker.building_ms.try_emplace(id, now_.monotonic_ms).first->second;
+  if (now_.monotonic_ms - begin_ms < config_.build_budget_ms) return true;
+  jobs_.at(id)->last_decline = absl::StrCat(
+      worker.hello.host(), " has not built the scene within ", config_.build_budget_ms / 1000,
+      " s: look at that worker's log, or start the server with a larger --build-budget");
+  worker.building_ms.erase(id);
+  worker.retry_assets_ms[id] = now_.monotonic_ms + config_.build_budget_ms;
+  waiting_changed_ = true;
+  return false;
+}
+
 // A render renews its lease by the samples that it has done since it was last heard of, not by the
 // session that speaks of it: that one lives on when the render hangs. A lease that waits for a
-// thread goes with those that have one. Building a scene and sending a delta are not measured.
+// thread goes with those that have one. Building a scene has a budget, and sending a delta is not
+// measured.
 void Coordinator::On(HeartbeatEvent& event) {
   Worker* const worker = FindWorker(event.session);
   if (worker == nullptr) return;
   bool any_moves = std::exchange(worker->has_sent, false);
   std::vector<LeaseId> waiting;
+  std::set<JobId> stuck;
   for (const v1::LeaseProgress& progress : event.leases) {
     RenewFilterLease(event.session, progress.id());
     const auto it = leases_.find(progress.id());
@@ -166,6 +189,15 @@ void Coordinator::On(HeartbeatEvent& event) {
     const bool has_moved = NoteProgress(progress, &it->second);
     // Of before what is known, a later one has overtaken it: an old "waiting" would renew a render.
     if (progress.state() != it->second.state) continue;
+    const JobId job = it->second.job;
+    if (progress.state() == v1::LeaseProgress::STATE_BUILDING) {
+      if (stuck.contains(job) || !BuildMayGoOn(*worker, job)) {
+        stuck.insert(job);
+        continue;
+      }
+    } else {
+      worker->building_ms.erase(job);
+    }
     switch (progress.state()) {
       case v1::LeaseProgress::STATE_WAITING:
         waiting.push_back(it->first);
@@ -180,8 +212,11 @@ void Coordinator::On(HeartbeatEvent& event) {
     }
     Renew(it->first);
   }
+  for (const JobId job : stuck) DropLeasesOf(*worker, job, 0);
   if (!any_moves) return;
-  for (const LeaseId id : waiting) Renew(id);
+  for (const LeaseId id : waiting) {
+    if (leases_.contains(id)) Renew(id);
+  }
 }
 
 void Coordinator::On(DeclineEvent& event) {
@@ -205,13 +240,11 @@ void Coordinator::On(DeclineEvent& event) {
     if (decline.reason() == v1::DeclineLease::REASON_MEMORY) {
       job.memory_short_bytes = std::max(job.memory_short_bytes, worker->hello.memory_bytes());
     } else {
+      job.last_decline = absl::StrCat("a worker could not fetch an asset: ", job.last_decline);
       worker->retry_assets_ms[id] = now_.monotonic_ms + kAssetRetryMs;
     }
     // What holds for one lease of the job holds for all that this worker has.
-    const std::set<LeaseId> leases = worker->leases;
-    for (const LeaseId other : leases) {
-      if (other != decline.lease_id() && leases_.at(other).job == id) DropLease(other, true);
-    }
+    DropLeasesOf(*worker, id, decline.lease_id());
   }
   DropLease(decline.lease_id(), false);
 }
@@ -406,6 +439,7 @@ void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
   job.samples_under_way += unit.range.size() * window.area();
   CountFilm(job);
   if (job.work_ms == 0) job.work_ms = now_.monotonic_ms;
+  if (job.leases_of_session.at(worker.session) == 1) worker.building_ms.erase(job.id);
   if (job.record.state() == v1::JOB_STATE_QUEUED) SetState(job, v1::JOB_STATE_RUNNING);
 
   if (worker.known_jobs.insert(job.id).second) {

@@ -129,8 +129,10 @@ struct Coordinator::Worker {
   bool stalled = false;   // it lives, but lets leases expire: one at a time until one moves
   std::set<LeaseId> leases;
   std::set<JobId> known_jobs;  // JobSpec sent
-  // Jobs whose assets it could not fetch -> not before this monotonic moment.
+  // Jobs whose assets it could not fetch or whose scene it could not build -> not before this
+  // monotonic moment.
   std::map<JobId, int64_t> retry_assets_ms;
+  std::map<JobId, int64_t> building_ms;  // whose scenes it builds -> since when, monotonic
   int64_t samples = 0;
   std::map<JobId, double> ns_per_sample;  // of one thread, lately
   std::set<LeaseId> filter_leases;

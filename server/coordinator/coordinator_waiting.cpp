@@ -78,7 +78,7 @@ std::string Coordinator::ReasonOfWorkers(const Job& job) const {
            "start one there";
   }
   if (able) return "all workers are busy with jobs that come first";
-  if (failing > 0) return absl::StrCat("a worker could not fetch an asset: ", job.last_decline);
+  if (failing > 0) return job.last_decline;
   if (small > 0) {
     return absl::StrCat("the scene needs more memory than any of the ", small,
                         " connected workers has (at most ", memory_max / kMemoryUnit,

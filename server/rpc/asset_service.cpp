@@ -10,8 +10,13 @@ namespace {
 
 class WriteReactor : public grpc::ServerReadReactor<v1::WriteAssetRequest> {
  public:
-  WriteReactor(AssetStore* store, v1::WriteAssetResponse* response)
-      : store_(store), response_(response) {
+  WriteReactor(AssetStore* store, v1::WriteAssetResponse* response, ClientLimits* limits,
+               std::string client, ClientLimits::Hold hold)
+      : store_(store),
+        response_(response),
+        limits_(limits),
+        client_(std::move(client)),
+        hold_(std::move(hold)) {
     StartRead(&request_);
   }
   void OnReadDone(bool ok) override {
@@ -32,6 +37,8 @@ class WriteReactor : public grpc::ServerReadReactor<v1::WriteAssetRequest> {
       }
       digest_ = *digest;
       size_bytes_ = request_.asset().size_bytes();
+      absl::Status status = limits_->CheckUpload(client_, size_bytes_);
+      if (!status.ok()) return status;
       begun_ = true;
     }
     if (request_.chunk().size() > kChunkBytesMax) {
@@ -48,6 +55,9 @@ class WriteReactor : public grpc::ServerReadReactor<v1::WriteAssetRequest> {
 
   AssetStore* const store_;
   v1::WriteAssetResponse* const response_;
+  const ClientLimits* const limits_;
+  const std::string client_;
+  const ClientLimits::Hold hold_;
   v1::WriteAssetRequest request_;
   Sha256Digest digest_{};
   int64_t size_bytes_ = 0;
@@ -105,8 +115,11 @@ grpc::ServerUnaryReactor* AssetService::FindMissingAssets(
           ToGrpc(absl::InvalidArgumentError("assets.sha256 must be 32 bytes long each")));
       return reactor;
     }
+    if (store_.Has(*digest)) {
+      (void)store_.ReceivedBytes(*digest);  // it is kept for a while
+      continue;
+    }
     const int64_t received_bytes = store_.ReceivedBytes(*digest);
-    if (store_.Has(*digest)) continue;
     v1::MissingAsset& missing = *response->add_missing();
     missing.set_sha256(asset.sha256());
     missing.set_received_bytes(received_bytes);
@@ -117,10 +130,13 @@ grpc::ServerUnaryReactor* AssetService::FindMissingAssets(
 
 grpc::ServerReadReactor<v1::WriteAssetRequest>* AssetService::WriteAsset(
     grpc::CallbackServerContext* context, v1::WriteAssetResponse* response) {
-  if (const absl::Status status = access_.Check(*context, Role::kSubmit).status(); !status.ok()) {
-    return new RefusedStream<grpc::ServerReadReactor<v1::WriteAssetRequest>>(status);
-  }
-  return new WriteReactor(&store_, response);
+  using Stream = grpc::ServerReadReactor<v1::WriteAssetRequest>;
+  const absl::StatusOr<Caller> caller = access_.Check(*context, Role::kSubmit);
+  if (!caller.ok()) return new RefusedStream<Stream>(caller.status());
+  std::string client = ClientOf(*caller, context->peer());
+  absl::StatusOr<ClientLimits::Hold> hold = limits_.OpenStream(client);
+  if (!hold.ok()) return new RefusedStream<Stream>(hold.status());
+  return new WriteReactor(&store_, response, &limits_, std::move(client), *std::move(hold));
 }
 
 grpc::ServerWriteReactor<v1::ReadAssetResponse>* AssetService::ReadAsset(

@@ -1,6 +1,7 @@
 // tessera.v1.AssetService over an asset store.
 #pragma once
 
+#include "server/rpc/client_limits.h"
 #include "server/security/access.h"
 #include "server/store/asset_store.h"
 #include "tessera/v1/asset.grpc.pb.h"
@@ -9,8 +10,9 @@ namespace tessera {
 
 class AssetService final : public v1::AssetService::CallbackService {
  public:
-  // Both must outlive the service.
-  AssetService(AssetStore& store, const Access& access) : store_(store), access_(access) {}
+  // All must outlive the service.
+  AssetService(AssetStore& store, const Access& access, ClientLimits& limits)
+      : store_(store), access_(access), limits_(limits) {}
 
   grpc::ServerUnaryReactor* FindMissingAssets(grpc::CallbackServerContext* context,
                                               const v1::FindMissingAssetsRequest* request,
@@ -23,6 +25,7 @@ class AssetService final : public v1::AssetService::CallbackService {
  private:
   AssetStore& store_;
   const Access& access_;
+  ClientLimits& limits_;
 };
 
 }  // namespace tessera

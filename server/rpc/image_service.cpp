@@ -18,8 +18,9 @@ static_assert(std::endian::native == std::endian::little, "planes travel little-
 
 class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
  public:
-  ImageReactor(const v1::GetImageRequest& request, StreamBudget* budget)
-      : request_(request), budget_(budget) {
+  ImageReactor(const v1::GetImageRequest& request, StreamBudget* budget, ClientLimits::Hold hold,
+               WriteDeadlines* deadlines, grpc::CallbackServerContext* context)
+      : request_(request), budget_(budget), hold_(std::move(hold)), deadline_(deadlines, context) {
     if (request_.layers().empty()) request_.add_layers("final");
   }
 
@@ -39,7 +40,10 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
                    });
   }
 
-  void OnWriteDone(bool ok) override { ok ? WriteNext() : Finish(grpc::Status::CANCELLED); }
+  void OnWriteDone(bool ok) override {
+    deadline_.End();
+    ok ? WriteNext() : Finish(grpc::Status::CANCELLED);
+  }
   void OnDone() override { delete this; }
 
  private:
@@ -85,7 +89,7 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
         out.add_channels(std::string(channel));
       }
     }
-    StartWrite(&response_);
+    Write();
   }
 
   void WriteNext() {
@@ -101,7 +105,7 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
         const size_t count = std::min<size_t>(kChunkBytesMax, size - offset_);
         response_.set_chunk(bytes + offset_, count);
         offset_ += count;
-        return StartWrite(&response_);
+        return Write();
       }
       ++channel_;
       offset_ = 0;
@@ -109,9 +113,16 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
     Finish(grpc::Status::OK);
   }
 
+  void Write() {
+    deadline_.Begin(Now().monotonic_ms);
+    StartWrite(&response_);
+  }
+
   v1::GetImageRequest request_;
   StreamBudget* const budget_;
   StreamBudget::Share share_;
+  const ClientLimits::Hold hold_;
+  WriteDeadlines::Watch deadline_;
   v1::GetImageResponse response_;
   Image image_;
   size_t channel_ = 0;  // of image_, being sent
@@ -120,13 +131,18 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
 
 class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
  public:
-  FilmReactor(CoordinatorHost* host, StreamBudget* budget) : host_(host), budget_(budget) {}
+  FilmReactor(CoordinatorHost* host, StreamBudget* budget, ClientLimits::Hold hold,
+              WriteDeadlines* deadlines, grpc::CallbackServerContext* context)
+      : host_(host), budget_(budget), hold_(std::move(hold)), deadline_(deadlines, context) {}
 
   void Start(const ImageService::FilmSource& film_of, const std::string& job) {
     const absl::Status status = Open(film_of, job);
     status.ok() ? WriteNext() : Finish(ToGrpc(status));
   }
-  void OnWriteDone(bool ok) override { ok ? WriteNext() : Finish(grpc::Status::CANCELLED); }
+  void OnWriteDone(bool ok) override {
+    deadline_.End();
+    ok ? WriteNext() : Finish(grpc::Status::CANCELLED);
+  }
   void OnDone() override { delete this; }
 
  private:
@@ -163,12 +179,19 @@ class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
     node.set_encoding(static_cast<uint32_t>(delta.encoding));
     node.set_payload(std::move(delta.payload));
     node.set_payload_bytes(delta.payload_bytes);
+    Write();
+  }
+
+  void Write() {
+    deadline_.Begin(Now().monotonic_ms);
     StartWrite(&response_);
   }
 
   CoordinatorHost* const host_;
   StreamBudget* const budget_;
   StreamBudget::Share share_;
+  const ClientLimits::Hold hold_;
+  WriteDeadlines::Watch deadline_;
   std::shared_ptr<const Film> film_;
   std::vector<TileStatistics> nodes_;  // of tile_ - 1
   size_t node_ = 0;
@@ -178,22 +201,30 @@ class FilmReactor : public grpc::ServerWriteReactor<v1::GetFilmResponse> {
 
 }  // namespace
 
+absl::StatusOr<ClientLimits::Hold> ImageService::Enter(grpc::CallbackServerContext* context) {
+  const absl::StatusOr<Caller> caller = access_.Check(*context, Role::kView);
+  if (!caller.ok()) return caller.status();
+  return limits_.OpenStream(ClientOf(*caller, context->peer()));
+}
+
 grpc::ServerWriteReactor<v1::GetImageResponse>* ImageService::GetImage(
     grpc::CallbackServerContext* context, const v1::GetImageRequest* request) {
-  if (const absl::Status status = access_.Check(*context, Role::kView).status(); !status.ok()) {
-    return new RefusedStream<grpc::ServerWriteReactor<v1::GetImageResponse>>(status);
-  }
-  auto* const reactor = new ImageReactor(*request, &image_budget_);
+  using Stream = grpc::ServerWriteReactor<v1::GetImageResponse>;
+  absl::StatusOr<ClientLimits::Hold> hold = Enter(context);
+  if (!hold.ok()) return new RefusedStream<Stream>(hold.status());
+  auto* const reactor =
+      new ImageReactor(*request, &image_budget_, *std::move(hold), &deadlines_, context);
   reactor->Start(host_, pictures_);
   return reactor;
 }
 
 grpc::ServerWriteReactor<v1::GetFilmResponse>* ImageService::GetFilm(
     grpc::CallbackServerContext* context, const v1::GetFilmRequest* request) {
-  if (const absl::Status status = access_.Check(*context, Role::kView).status(); !status.ok()) {
-    return new RefusedStream<grpc::ServerWriteReactor<v1::GetFilmResponse>>(status);
-  }
-  auto* const reactor = new FilmReactor(&host_, &film_budget_);
+  using Stream = grpc::ServerWriteReactor<v1::GetFilmResponse>;
+  absl::StatusOr<ClientLimits::Hold> hold = Enter(context);
+  if (!hold.ok()) return new RefusedStream<Stream>(hold.status());
+  auto* const reactor =
+      new FilmReactor(&host_, &film_budget_, *std::move(hold), &deadlines_, context);
   reactor->Start(film_of_, request->job());
   return reactor;
 }

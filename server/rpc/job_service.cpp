@@ -21,11 +21,14 @@ grpc::ServerUnaryReactor* Reply(grpc::CallbackServerContext* context, const absl
 }  // namespace
 
 JobService::JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watchers,
-                       SettingsDefaults defaults, JobKeeper keeper, const Access& access)
+                       SettingsDefaults defaults, JobKeeper keeper, const Access& access,
+                       ClientLimits& limits, WriteDeadlines& deadlines)
     : host_(host),
       watchers_(watchers),
       requests_(host, assets, std::move(defaults), std::move(keeper)),
-      access_(access) {}
+      access_(access),
+      limits_(limits),
+      deadlines_(deadlines) {}
 
 absl::Status JobService::CheckSteering(const grpc::CallbackServerContext& context,
                                        const std::string& name) const {
@@ -50,9 +53,22 @@ absl::Status JobService::Command(const grpc::CallbackServerContext& context, Job
 grpc::ServerUnaryReactor* JobService::CreateJob(grpc::CallbackServerContext* context,
                                                 const v1::CreateJobRequest* request,
                                                 v1::Job* response) {
-  const absl::StatusOr<Caller> caller = access_.Check(*context, Role::kSubmit);
-  return Reply(context, caller.ok() ? requests_.Create(*request, caller->name, response)
-                                    : caller.status());
+  return Reply(context, Create(*context, *request, response));
+}
+
+absl::Status JobService::Create(const grpc::CallbackServerContext& context,
+                                const v1::CreateJobRequest& request, v1::Job* response) {
+  const absl::StatusOr<Caller> caller = access_.Check(context, Role::kSubmit);
+  if (!caller.ok()) return caller.status();
+  const bool is_repeated =
+      host_.Read([&](const Coordinator& c) { return c.JobOfRequest(request.request_id()) != 0; });
+  if (is_repeated) return requests_.Create(request, caller->name, response);
+  const std::string client = ClientOf(*caller, context.peer());
+  const absl::StatusOr<ClientLimits::Hold> hold = limits_.Admit(client, request.settings());
+  if (!hold.ok()) return hold.status();
+  const absl::Status status = requests_.Create(request, caller->name, response);
+  if (status.ok()) limits_.Created(client, *ParseJobName(response->name()), response->settings());
+  return status;
 }
 
 grpc::ServerUnaryReactor* JobService::GetJob(grpc::CallbackServerContext* context,
@@ -97,10 +113,16 @@ grpc::ServerUnaryReactor* JobService::ListJobs(grpc::CallbackServerContext* cont
 grpc::ServerWriteReactor<v1::Job>* JobService::WatchJob(grpc::CallbackServerContext* context,
                                                         const v1::WatchJobRequest* request) {
   v1::Job job;
-  absl::Status status = access_.Check(*context, Role::kView).status();
+  const absl::StatusOr<Caller> caller = access_.Check(*context, Role::kView);
+  absl::Status status = caller.status();
   if (status.ok()) status = requests_.Get(request->name(), &job);
   if (!status.ok()) return new RefusedStream<grpc::ServerWriteReactor<v1::Job>>(status);
-  return watchers_.Watch(*ParseJobName(request->name()), *request);
+  absl::StatusOr<ClientLimits::Hold> hold =
+      limits_.OpenStream(ClientOf(*caller, context->peer()));
+  if (!hold.ok()) return new RefusedStream<grpc::ServerWriteReactor<v1::Job>>(hold.status());
+  return watchers_.Watch(*ParseJobName(request->name()), *request,
+                         {std::make_unique<WriteDeadlines::Watch>(&deadlines_, context),
+                          *std::move(hold)});
 }
 
 grpc::ServerUnaryReactor* JobService::PauseJob(grpc::CallbackServerContext* context,

@@ -3,7 +3,9 @@
 
 #include "server/coordinator_host.h"
 #include "server/job_requests.h"
+#include "server/rpc/client_limits.h"
 #include "server/rpc/watch_hub.h"
+#include "server/rpc/write_deadlines.h"
 #include "server/security/access.h"
 #include "tessera/v1/job.grpc.pb.h"
 
@@ -13,7 +15,8 @@ class JobService final : public v1::JobService::CallbackService {
  public:
   // All references must outlive the service.
   JobService(CoordinatorHost& host, AssetStore& assets, WatchHub& watchers,
-             SettingsDefaults defaults, JobKeeper keeper, const Access& access);
+             SettingsDefaults defaults, JobKeeper keeper, const Access& access,
+             ClientLimits& limits, WriteDeadlines& deadlines);
 
   grpc::ServerUnaryReactor* CreateJob(grpc::CallbackServerContext* context,
                                       const v1::CreateJobRequest* request,
@@ -42,6 +45,8 @@ class JobService final : public v1::JobService::CallbackService {
                                       v1::DeleteJobResponse* response) override;
 
  private:
+  absl::Status Create(const grpc::CallbackServerContext& context,
+                      const v1::CreateJobRequest& request, v1::Job* response);
   // OK, or why whoever calls may not change the job.
   absl::Status CheckSteering(const grpc::CallbackServerContext& context,
                              const std::string& name) const;
@@ -53,6 +58,8 @@ class JobService final : public v1::JobService::CallbackService {
   WatchHub& watchers_;
   JobRequests requests_;
   const Access& access_;
+  ClientLimits& limits_;
+  WriteDeadlines& deadlines_;
 };
 
 }  // namespace tessera

@@ -2,10 +2,13 @@
 
 #include <algorithm>
 #include <chrono>
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "core/base/sha256.h"
 #include "server/coordinator/coordinator.h"
 #include "server/coordinator_host.h"
 #include "server/rpc/rpc_status.h"
@@ -33,8 +36,13 @@ int64_t IntervalMs(const v1::WatchJobRequest& request) {
 // One stream. Reactions and Pump meet under mu_.
 class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
  public:
-  WatchReactor(WatchHub* hub, JobId job, const v1::WatchJobRequest& request)
-      : hub_(hub), job_(job), interval_ms_(IntervalMs(request)), sent_(request.from_revision()) {}
+  WatchReactor(WatchHub* hub, JobId job, const v1::WatchJobRequest& request, WatchKeeps keeps)
+      : hub_(hub),
+        job_(job),
+        interval_ms_(IntervalMs(request)),
+        only_changes_(request.only_changes()),
+        keeps_(std::move(keeps)),
+        sent_(request.from_revision()) {}
 
   // Sends the job if it is newer than what was sent and it is time; ends the stream after a
   // terminal state.
@@ -57,8 +65,10 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
     }
     sent_ = job.revision();
     message_ = std::move(job);
+    if (only_changes_) LeaveOutWhatIsKnown(&message_);
     next_ms_ = now_ms + interval_ms_;
     writing_ = true;
+    if (keeps_.deadline) keeps_.deadline->Begin(Now().monotonic_ms);
     StartWrite(&message_);
   }
 
@@ -76,6 +86,7 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
     {
       std::lock_guard lock(mu_);
       writing_ = false;
+      if (keeps_.deadline) keeps_.deadline->End();
       if (!ok && !finished_) return FinishLocked(grpc::Status::CANCELLED);
     }
     Pump(Now().monotonic_ms);
@@ -87,6 +98,18 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
   }
 
  private:
+  // Only the digests of what was sent are kept: settings may have a megabyte.
+  void LeaveOutWhatIsKnown(v1::Job* job) {
+    const Sha256Digest settings = Sha256Of(job->settings().SerializeAsString());
+    const Sha256Digest scene = Sha256Of(job->scene().SerializeAsString());
+    const Sha256Digest counts = Sha256Of(job->sample_counts().SerializeAsString());
+    if (settings == known_settings_) job->clear_settings();
+    if (scene == known_scene_) job->clear_scene();
+    if (counts == known_counts_) job->clear_sample_counts();
+    known_settings_ = settings;
+    known_scene_ = scene;
+    known_counts_ = counts;
+  }
   void FinishLocked(const grpc::Status& status) {
     finished_ = true;
     Finish(status);
@@ -95,9 +118,12 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
   WatchHub* const hub_;
   const JobId job_;
   const int64_t interval_ms_;
+  const bool only_changes_;
+  const WatchKeeps keeps_;
   std::mutex mu_;  // guards all below
   v1::Revision sent_;
   v1::Job message_;  // being written
+  std::optional<Sha256Digest> known_settings_, known_scene_, known_counts_;  // by the client
   int64_t next_ms_ = 0;
   bool dirty_ = true;
   bool writing_ = false;
@@ -108,8 +134,9 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
 WatchHub::WatchHub(WatchCallbacks callbacks, int watches_max)
     : callbacks_(std::move(callbacks)), watches_max_(watches_max) {}
 
-grpc::ServerWriteReactor<v1::Job>* WatchHub::Watch(JobId job, const v1::WatchJobRequest& request) {
-  auto* const reactor = new WatchReactor(this, job, request);
+grpc::ServerWriteReactor<v1::Job>* WatchHub::Watch(JobId job, const v1::WatchJobRequest& request,
+                                                   WatchKeeps keeps) {
+  auto* const reactor = new WatchReactor(this, job, request, std::move(keeps));
   callbacks_.added(job);
   grpc::Status status;
   {

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <memory>
 #include <mutex>
 #include <set>
 
@@ -12,11 +13,18 @@
 
 #include "server/coordinator/event.h"
 #include "server/coordinator/limits.h"
+#include "server/rpc/write_deadlines.h"
 #include "tessera/v1/job.pb.h"
 
 namespace tessera {
 
 class WatchReactor;
+
+// What a watch keeps while it is open; both may be null.
+struct WatchKeeps {
+  std::unique_ptr<WriteDeadlines::Watch> deadline{};
+  std::shared_ptr<void> hold{};  // of a client's limits
+};
 
 struct WatchCallbacks {
   // The job as it is now; false if it does not exist.
@@ -32,7 +40,8 @@ class WatchHub {
   explicit WatchHub(WatchCallbacks callbacks, int watches_max = kWatchesMax);
 
   // The reactor of a new watch stream. It deletes itself.
-  grpc::ServerWriteReactor<v1::Job>* Watch(JobId job, const v1::WatchJobRequest& request);
+  grpc::ServerWriteReactor<v1::Job>* Watch(JobId job, const v1::WatchJobRequest& request,
+                                           WatchKeeps keeps = {});
   // The job has changed, or is gone. Never blocks, takes no lock but its own.
   void Notify(JobId job);
   // Sends what is due. Call it every few milliseconds, not under a lock.

@@ -233,5 +233,43 @@ TEST(CoordinatorLeases, LookingMovesTheOrderAndNoBit) {
   EXPECT_TRUE(farm.Post(LookEvent{job, "", std::nullopt}).status.ok());
   EXPECT_FALSE(farm.Job(job).settings().has_look());
 }
+TEST(CoordinatorLeases, ABuildBeyondItsBudgetIsAnotherWorkers) {
+  CoordinatorConfig config = SmallConfig();
+  config.build_budget_ms = 10000;
+  SimulatedFarm farm(config);
+  const JobId job = farm.Create(SmallSettings(2));
+  const SessionId stuck = farm.Connect(2, "stuck");
+  const auto builds_for = [&](int64_t ms) {
+    for (int64_t waited = 0; waited < ms; waited += 250) {
+      farm.now_ms += 250;
+      HeartbeatEvent event{stuck};
+      for (const v1::Lease& lease : farm.workers[stuck].leases) {
+        v1::LeaseProgress& progress = event.leases.emplace_back();
+        progress.set_id(lease.id());
+        progress.set_state(v1::LeaseProgress::STATE_BUILDING);
+      }
+      farm.Post(std::move(event));
+      farm.Post(TickEvent{});
+    }
+  };
+  builds_for(9500);
+  EXPECT_FALSE(farm.workers[stuck].leases.empty()) << "it has its time";
+  builds_for(1000);
+  EXPECT_TRUE(farm.workers[stuck].leases.empty());
+  EXPECT_NE(farm.Job(job).waiting().find("stuck has not built the scene within 10 s"),
+            std::string::npos)
+      << farm.Job(job).waiting();
+  EXPECT_NE(farm.Job(job).waiting().find("--build-budget"), std::string::npos);
+  const SessionId other = farm.Connect(2, "other");
+  EXPECT_FALSE(farm.workers[other].leases.empty());
+  builds_for(5000);
+  EXPECT_TRUE(farm.workers[stuck].leases.empty()) << "others try first";
+  farm.Disconnect(other);
+  builds_for(6000);
+  EXPECT_FALSE(farm.workers[stuck].leases.empty()) << "once more, after a while";
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(SmallSettings(2), 2));
+}
+
 }  // namespace
 }  // namespace tessera

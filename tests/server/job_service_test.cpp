@@ -49,10 +49,14 @@ class JobServiceTest : public testing::Test {
     return disk_is_full_ ? absl::InternalError("the disk is full") : absl::OkStatus();
   }
   const Access access_;
+  ClientLimits limits_{{}, [](JobId) { return true; }};
+  WriteDeadlines deadlines_{60000};
   JobService service_{
       host_, *assets_, watchers_, SmallConfig().defaults,
       {.save = [this](JobId) { return Keep(); }, .remove = [this](JobId) { return Keep(); }},
-      access_};
+      access_,
+      limits_,
+      deadlines_};
   v1::JobSettings settings_ = SmallSettings();
   std::unique_ptr<grpc::Server> server_;
   std::unique_ptr<v1::JobService::Stub> stub_;

@@ -49,6 +49,15 @@ class FarmCommands(CommandLineCase):
         watched = self.run_tessera("watch", name, *self.server)
         self.assertEqual(watched.returncode, 4)
 
+    def test_looking(self):
+        name = self.expect_done("submit", "triangle.glb", *ENDLESS, "--look", "0,0,8,8",
+                                *self.server).strip()
+        for where in ("8,8,16,16", "none", "255,255,1,1"):
+            self.assertEqual(self.expect_json("look", name, where, *self.server)["name"], name)
+        self.expect_error(2, ["region"], "look", name, "250,250,16,16", *self.server)
+        self.expect_error(2, ["jobs/77"], "look", "jobs/77", "none", *self.server)
+        self.expect_done("cancel", name, *self.server)
+
     def interrupt(self, *arguments):
         """Sends SIGINT to a command that talks to the server; returns code and stderr."""
         process = subprocess.Popen([TESSERA, *arguments, *self.server], cwd=self.folder,
