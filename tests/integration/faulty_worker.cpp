@@ -5,6 +5,7 @@
 #include <new>
 #include <thread>
 #include <utility>
+#include <vector>
 
 #include "tests/integration/faulty_renderer.h"
 #include "worker/session/path_tracer_renderer.h"
@@ -28,9 +29,17 @@ class FaultyRenderer : public Renderer {
   int64_t memory_bytes() const override { return sound_->memory_bytes(); }
 
  private:
+  // In a control group of less memory than that the kernel kills the process.
+  static void EatMemory(const std::atomic<bool>& cancel) {
+    constexpr size_t kBlockBytes = 1 << 20;
+    std::vector<std::vector<char>> eaten;
+    while (eaten.size() < 1024 && !cancel) eaten.emplace_back(kBlockBytes, 'x');
+    while (!cancel) std::this_thread::yield();
+  }
   void Break(const std::atomic<bool>& cancel) const {
     if (seed_ == kSeedThatCrashes) raise(SIGSEGV);
     if (seed_ == kSeedThatExhaustsMemory) throw std::bad_alloc();
+    if (seed_ == kSeedThatEatsMemory) EatMemory(cancel);
     while (seed_ == kSeedThatHangs && !cancel) std::this_thread::yield();
   }
 

@@ -3,7 +3,9 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
+#include <unistd.h>
 
+#include <filesystem>
 #include <fstream>
 #include <string>
 
@@ -123,6 +125,54 @@ TEST_F(WorkerCrashes, TheChildDiesWithItsParent) {
   worker->Signal(SIGKILL);
   EXPECT_EQ(worker->Wait(), 128 + SIGKILL);
   EXPECT_TRUE(Eventually([&] { return client_.Workers().empty(); }));
+}
+
+// A control group of its own with a bound on its memory; none where that is not permitted.
+class MemoryGroup {
+ public:
+  explicit MemoryGroup(int64_t bytes) {
+    std::ifstream lines("/proc/self/cgroup");
+    for (std::string line; dir_.empty() && std::getline(lines, line);) {
+      const bool is_v2 = line.starts_with("0::");
+      const size_t v1 = line.find(":memory:");
+      if (!is_v2 && v1 == std::string::npos) continue;
+      const std::string root = is_v2 ? "/sys/fs/cgroup" : "/sys/fs/cgroup/memory";
+      const std::string own = line.substr(is_v2 ? 3 : v1 + 8);
+      const std::string dir = root + own + "/tessera-test-" + std::to_string(getpid());
+      std::error_code error;
+      if (!std::filesystem::create_directory(dir, error)) continue;
+      std::ofstream limit(dir + (is_v2 ? "/memory.max" : "/memory.limit_in_bytes"));
+      if (limit << bytes << std::flush) {
+        dir_ = dir;
+      } else {
+        rmdir(dir.c_str());
+      }
+      std::ofstream(dir + "/memory.swap.max") << 0;
+    }
+  }
+  ~MemoryGroup() {
+    if (!dir_.empty()) Eventually([this] { return rmdir(dir_.c_str()) == 0; });
+  }
+  const std::string& dir() const { return dir_; }
+
+ private:
+  std::string dir_;
+};
+
+// The kernel's out-of-memory killer takes the rendering process; its parent says why.
+TEST_F(WorkerCrashes, AKillForWantOfMemoryIsNamedAsTheCause) {
+  const MemoryGroup group(int64_t{256} << 20);
+  if (group.dir().empty()) GTEST_SKIP() << "no control group may be made here that bounds memory";
+  ChildProcess worker({"/bin/sh", "-c",
+                       "echo $$ > " + group.dir() + "/cgroup.procs && exec " +
+                           TESSERA_FAULTY_WORKER + " --server " + server_.address() +
+                           " --threads 1 --name bounded"},
+                      LogOf("bounded"));
+  const v1::Job bad = client_.Watch(client_.MustCreate(JobOfSeed(kSeedThatEatsMemory)).name());
+  EXPECT_EQ(bad.state(), v1::JOB_STATE_FAILED);
+  EXPECT_THAT(bad.error(), HasSubstr("out of memory")) << worker.Log();
+  worker.Signal(SIGTERM);
+  worker.Wait();
 }
 
 // As systemd does, which signals every process of a unit: the pair counts as one.

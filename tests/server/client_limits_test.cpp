@@ -167,7 +167,6 @@ TEST_F(LimitedService, AWatchOfChangesLeavesOutWhatHasNotChanged) {
   StartService();
   v1::Job job;
   ASSERT_TRUE(Create(UploadedSettings(16), &job).ok());
-  SyntheticWorker worker(channel);
   v1::WatchJobRequest request;
   request.set_name(job.name());
   request.set_only_changes(true);
@@ -177,6 +176,7 @@ TEST_F(LimitedService, AWatchOfChangesLeavesOutWhatHasNotChanged) {
   v1::Job first, next;
   ASSERT_TRUE(reader->Read(&first));
   EXPECT_EQ(first.settings().width(), job.settings().width());
+  SyntheticWorker worker(channel);
   int others = 0;
   while (reader->Read(&next)) {
     EXPECT_FALSE(next.has_settings());
