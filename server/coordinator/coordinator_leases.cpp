@@ -472,14 +472,10 @@ void Coordinator::RaceIdleWorkers() {
   }
 }
 
-// Not one that takes what leases take just now: when deltas wait for the server, another one would
-// come after it. A suspect is raced late, and alone: if it is to blame, both crashes count.
+// A suspect is raced late, and alone: if it is to blame, both crashes count.
 bool Coordinator::MayRace(const Lease& lease) const {
   const Job& job = *jobs_.at(lease.job);
   if (job.leases_of_unit.at(lease.unit).size() > 1) return false;
-  const auto held_ms = static_cast<double>(now_.monotonic_ms - lease.issued_ms);
-  const double slow_ms = static_cast<double>(config_.lease_ttl_ms) / 4;
-  if (held_ms < slow_ms + 2 * job.hold_ms) return false;
   return !job.suspects.contains(lease.unit) ||
          now_.monotonic_ms - lease.issued_ms >= 4 * config_.lease_ttl_ms;
 }

@@ -14,9 +14,6 @@ namespace {
 // Before this many samples an error estimate rests on too few samples to end a job.
 constexpr int64_t kEvaluateFromSpp = 8;
 
-// Of the latest lease, in how long leases take.
-constexpr double kHoldShare = 1.0 / 16;
-
 int64_t MaxTimeMs(const v1::JobSettings& settings) {
   return settings.max_time().seconds() * 1000 + settings.max_time().nanos() / 1000000;
 }
@@ -93,8 +90,6 @@ void Coordinator::On(DeltaEvent& event) {
   const bool was_leased = lease != leases_.end() && lease->second.session == event.session;
   if (was_leased) {
     NoteSpeed(*worker, *job, lease->second, event);
-    const auto held_ms = static_cast<double>(now_.monotonic_ms - lease->second.issued_ms);
-    job->hold_ms += kHoldShare * (held_ms - job->hold_ms);
     RenewFollowers(*worker);
     const bool units_changed = units_changed_;
     DropLease(event.delta.lease_id(), false);

@@ -64,7 +64,6 @@ struct Coordinator::Job {
   std::map<SessionId, int> leases_of_session;
   std::map<Unit, std::vector<LeaseId>> leases_of_unit;
   int64_t samples_under_way = 0;
-  double hold_ms = 0;  // from a lease to its delta, lately
   // Units that are not the queue's to hand out while they are listed here.
   std::map<Unit, std::vector<Testimony>> audits;
   std::set<Unit> audits_waiting;  // those that nobody renders just now
