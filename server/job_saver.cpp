@@ -133,7 +133,7 @@ void JobSaver::Run() {
 absl::StatusOr<JobSaver::Snapshot> JobSaver::Read(JobId job) const {
   Snapshot snapshot;
   const absl::Status status = host_->Read([&](const Coordinator& c) -> absl::Status {
-    absl::StatusOr<v1::Job> record = c.GetJob(job);
+    absl::StatusOr<v1::Job> record = c.RecordOf(job);
     if (!record.ok()) return record.status();
     snapshot.record = *std::move(record);
     snapshot.request_id = c.RequestIdOf(job);

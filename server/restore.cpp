@@ -22,6 +22,10 @@ absl::StatusOr<v1::Job> ParseRecord(const CatalogueRow& row, const SettingsDefau
   if (job.name() != JobName(row.job)) {
     return absl::DataLossError(absl::StrCat("it is of '", job.name().substr(0, 64), "'"));
   }
+  // Older versions knew no other way.
+  if (job.settings().sampling() == v1::SAMPLING_UNSPECIFIED) {
+    job.mutable_settings()->set_sampling(v1::SAMPLING_UNIFORM);
+  }
   absl::StatusOr<v1::JobSettings> settings = CompleteSettings(job.settings(), defaults);
   if (!settings.ok()) return settings.status();
   *job.mutable_settings() = *std::move(settings);

@@ -222,7 +222,7 @@ PictureSource Service::Impl::MakePictureSource() {
       if (!record.ok()) return false;
       const bool is_sampling = record->state() == v1::JOB_STATE_QUEUED ||
                                record->state() == v1::JOB_STATE_RUNNING;
-      view = {record->settings(), record->progress().committed_spp(), is_sampling, c.FilmOf(job),
+      view = {record->settings(), record->progress().samples(), is_sampling, c.FilmOf(job),
               record->progress().samples() > 0};
       return true;
     });

@@ -154,6 +154,13 @@ void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* se
     *settings->mutable_max_time() =
         TimeUtil::MicrosecondsToDuration(static_cast<int64_t>(v * 1e6));
   });
+  if (flags.sampling == "adaptive") {
+    settings->set_sampling(v1::SAMPLING_ADAPTIVE);
+  } else if (flags.sampling == "uniform") {
+    settings->set_sampling(v1::SAMPLING_UNIFORM);
+  } else if (!flags.sampling.empty()) {
+    reader->Fail(absl::StrCat("--sampling ", flags.sampling, ": must be adaptive or uniform"));
+  }
   if (settings->spp() == 0) {
     const bool open_ended = settings->target_error() > 0 || settings->has_max_time();
     settings->set_spp(open_ended ? kSppOpenEnded : kSppDefault);
@@ -208,6 +215,7 @@ void ReadServing(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* s
 void TakeUpBudget(const SceneFlags& flags, v1::JobSettings* settings) {
   if (!flags.target_error.empty()) settings->clear_spp();
   if (!flags.target_error.empty() || !flags.spp.empty()) settings->clear_target_error();
+  if (settings->target_error() == 0 || !flags.sampling.empty()) settings->clear_sampling();
   const bool open_ended = settings->spp() == kSppOpenEnded && settings->target_error() == 0;
   if (!open_ended || !flags.spp.empty()) settings->clear_max_time();
 }

@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/coordinator_state.h"
 #include "server/coordinator/limits.h"
+#include "server/coordinator/sample_counts.h"
 
 namespace tessera {
 
@@ -70,6 +71,13 @@ absl::StatusOr<v1::Job> Coordinator::GetJob(JobId id) const {
   }
   v1::Job record = it->second->record;
   record.mutable_progress()->set_workers(static_cast<int>(it->second->leases_of_session.size()));
+  return record;
+}
+
+absl::StatusOr<v1::Job> Coordinator::RecordOf(JobId id) const {
+  absl::StatusOr<v1::Job> record = GetJob(id);
+  if (!record.ok() || jobs_.at(id)->plan.empty()) return record;
+  *record->mutable_plan() = CountsOf(jobs_.at(id)->plan, jobs_.at(id)->grid.tile_size());
   return record;
 }
 

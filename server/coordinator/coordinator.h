@@ -61,6 +61,8 @@ class Coordinator {
 
   // Errors: NOT_FOUND.
   absl::StatusOr<v1::Job> GetJob(JobId job) const;
+  // GetJob, with what only a restart of the server needs. Errors: NOT_FOUND.
+  absl::StatusOr<v1::Job> RecordOf(JobId job) const;
   // Jobs with an id above `after`, ascending: at most `limit`, and bytes_max of their messages, but
   // one if there is any.
   std::vector<v1::Job> ListJobs(JobId after, size_t limit, size_t bytes_max = SIZE_MAX) const;
@@ -173,11 +175,14 @@ class Coordinator {
   void Delete(JobId id);
   void SetState(Job& job, v1::JobState state);
   void StartQueue(Job& job);
+  void MakeQueue(Job& job);
   void ApplyLook(Job& job);
   void Finish(Job& job, v1::StopReason reason);
   absl::Status CheckFirstFilm(const Job& job) const;
   void GoOn(Job& job);  // after a restart
   bool StartOver(Job& job);
+  void RestorePlan(Job& job);
+  void ResetTile(Job& job, int64_t tile);
   void Fail(Job& job, const std::string& error);
   void StopWork(Job& job);
   void Touch(Job& job);
@@ -190,9 +195,15 @@ class Coordinator {
   absl::Status CheckDelta(const Job& job, const DeltaEvent& event) const;
   void Merge(Job& job, DeltaEvent& event);
   void OnPassCommitted(Job& job);
+  void OnQueueDone(Job& job);
+  void Evaluate(Job& job);
   std::optional<Unit> TakeUnit(Job& job, int64_t size_max);
   void OpenNextEpoch(Job& job);
   bool NextEpochFits(const Job& job) const;
+  void NotePlanFloor(Job& job);
+  void TakePlan(Job& job, std::vector<int64_t> plan);
+  std::vector<int64_t> NextPlan(const Job& job, const std::vector<double>& tile_errors) const;
+  bool PlanFits(const Job& job, const std::vector<int64_t>& plan) const;
   void CheckTime(Job& job);
 
   // Units and workers that are not trusted (coordinator_trust.cpp).

@@ -6,6 +6,7 @@
 #include "server/coordinator/coordinator_state.h"
 #include "server/coordinator/limits.h"
 #include "server/coordinator/sample_counts.h"
+#include "server/coordinator/sample_plan.h"
 #include "server/coordinator/tile_noise.h"
 
 namespace tessera {
@@ -194,6 +195,7 @@ void Coordinator::On(RestoreJobEvent& event) {
   progress.set_delta_bytes(0);
   progress.set_render_core_seconds(0);
   if (std::ssize(event.costs) == added.grid.num_tiles()) added.costs = std::move(event.costs);
+  if (IsAdaptive(added.record.settings())) RestorePlan(added);
   for (const TileCost& cost : added.costs) AddCost(cost, &progress);
   if (!event.failure.empty()) return Fail(added, event.failure);
   RestoreContributions(added, event.contributions);
@@ -243,6 +245,7 @@ bool Coordinator::StartOver(Job& job) {
   job.past_suspects.clear();
   CountFilm(job);
   job.costs.clear();
+  job.plan.clear();
   job.spent_ms = 0;
   const int64_t asset_bytes = job.record.progress().asset_bytes();
   job.record.mutable_progress()->Clear();
@@ -269,6 +272,22 @@ void Coordinator::DropStoredFilm(Job& job) {
 }
 
 void Coordinator::StartQueue(Job& job) {
+  if (IsAdaptive(job.record.settings()) && job.plan.empty()) {
+    job.plan.resize(static_cast<size_t>(job.grid.num_tiles()));
+    for (size_t tile = 0; tile < job.plan.size(); ++tile) {
+      job.plan[tile] = std::max(std::min(kPilotSpp, job.record.settings().spp()),
+                                job.film->CommittedEnd(static_cast<int64_t>(tile)));
+    }
+  }
+  MakeQueue(job);
+  job.start_spp = job.queue->committed_spp();
+  job.start_samples = job.film->samples();
+  job.saved_film_ms = now_.monotonic_ms;
+  UpdateProgress(job);
+  job.queue->Done() ? OnQueueDone(job) : OpenNextEpoch(job);
+}
+
+void Coordinator::MakeQueue(Job& job) {
   const v1::JobSettings& s = job.record.settings();
   const bool may_stop_early = s.target_error() > 0 || s.has_max_time();
   const SampleSchedule schedule(s.spp(), int64_t{s.tile_size()} * s.tile_size(), may_stop_early);
@@ -281,28 +300,20 @@ void Coordinator::StartQueue(Job& job) {
     }
   }
   if (s.has_replay()) {
-    job.replay_samples = 0;
-    int64_t tile = 0;
-    for (const int64_t samples : ExpandCounts(s.replay().counts())) {
-      job.replay_samples += samples * job.grid.WindowOf(tile++).area();
-    }
+    job.replay_samples = SamplesOf(job.grid, ExpandCounts(s.replay().counts()));
   }
   job.queue = std::make_unique<TileQueue>(
       schedule, job.grid.num_tiles(), std::move(committed),
-      s.has_replay() ? ExpandCounts(s.replay().counts()) : std::vector<int64_t>());
+      s.has_replay() ? ExpandCounts(s.replay().counts()) : job.plan);
   for (int64_t tile = 0; job.film->samples() > 0 && tile < job.grid.num_tiles(); ++tile) {
     const std::vector<TileStatistics>& nodes = job.film->Nodes(tile);
     if (!nodes.empty()) job.queue->NoteNoise(tile, NoiseOf(nodes.front()));
   }
-  ApplyLook(job);
-  job.start_spp = job.queue->committed_spp();
-  job.saved_film_ms = now_.monotonic_ms;
-  UpdateProgress(job);
-  if (job.queue->Done()) {
-    Finish(job, v1::STOP_REASON_SPP);
-  } else {
-    OpenNextEpoch(job);
+  if (IsAdaptive(s)) {
+    job.plan_samples = SamplesOf(job.grid, job.plan);
+    NotePlanFloor(job);
   }
+  ApplyLook(job);
 }
 
 void Coordinator::On(LookEvent& event) {
@@ -381,6 +392,7 @@ absl::Status Coordinator::Resume(Job& job) {
   }
   job.first_merge_ms = 0;
   job.start_spp = job.queue->committed_spp();
+  job.start_samples = job.film->samples();
   SetState(job, job.film->samples() > 0 ? v1::JOB_STATE_RUNNING : v1::JOB_STATE_QUEUED);
   Save(job, false);
   return absl::OkStatus();
@@ -391,6 +403,7 @@ absl::Status Coordinator::Cancel(Job& job) {
   StopWork(job);
   job.film->DropWaiting();
   CountFilm(job);
+  NotePlanFloor(job);
   UpdateProgress(job);
   if (job.film->samples() > 0) {
     Finish(job, v1::STOP_REASON_CANCELLED);
@@ -418,8 +431,9 @@ void Coordinator::Delete(JobId id) {
 void Coordinator::Finish(Job& job, v1::StopReason reason) {
   StopWork(job);
   job.film->DropWaiting();
-  CloseQueue(job);
+  NotePlanFloor(job);
   UpdateProgress(job);
+  CloseQueue(job);
   v1::SampleCounts counts = CountsOf(*job.film);
   if (counts.run_tiles_size() > 0) *job.record.mutable_sample_counts() = std::move(counts);
   job.record.set_stop_reason(reason);
@@ -492,6 +506,7 @@ void Coordinator::Save(Job& job, bool with_film) {
 
 int64_t Coordinator::SamplesTotal(const Job& job) const {
   if (job.replay_samples > 0) return job.replay_samples;
+  if (!job.plan.empty()) return job.plan_samples;
   return job.queue->end() * job.grid.region().area();
 }
 
@@ -502,7 +517,11 @@ void Coordinator::UpdateProgress(Job& job) {
   progress.set_non_finite(job.film->non_finite());
   progress.set_spp(static_cast<double>(job.film->samples()) / area);
   if (job.queue == nullptr) return;
-  progress.set_committed_spp(std::min(job.queue->committed_spp(), job.queue->end()));
+  if (job.plan.empty()) {
+    progress.set_committed_spp(std::min(job.queue->committed_spp(), job.queue->end()));
+  } else {
+    progress.set_committed_spp(job.plan_floor);
+  }
   progress.set_samples_total(SamplesTotal(job));
 }
 

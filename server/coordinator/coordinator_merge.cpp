@@ -7,16 +7,10 @@
 #include "server/coordinator/coordinator.h"
 #include "server/coordinator/coordinator_state.h"
 #include "server/coordinator/limits.h"
+#include "server/coordinator/sample_plan.h"
 
 namespace tessera {
 namespace {
-
-// Before this many samples an error estimate rests on too few samples to end a job.
-constexpr int64_t kEvaluateFromSpp = 8;
-
-int64_t MaxTimeMs(const v1::JobSettings& settings) {
-  return settings.max_time().seconds() * 1000 + settings.max_time().nanos() / 1000000;
-}
 
 TileCost CostOfDelta(const DeltaEvent& event) {
   const auto& time = event.delta.render_time();
@@ -159,14 +153,27 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
 
 void Coordinator::OnPassCommitted(Job& job) {
   units_changed_ = true;
-  if (job.queue->Done()) {
-    Finish(job, job.stop_reason);
-    return;
+  if (!job.plan.empty()) {
+    NotePlanFloor(job);
+    UpdateProgress(job);
   }
+  if (job.queue->Done()) return OnQueueDone(job);
   // Also while it is paused, or the queue would stay shut after that.
   const int64_t committed = job.queue->committed_spp();
   const bool is_epoch = job.queue->schedule().EpochEnd(committed - 1) == committed;
   if (is_epoch) OpenNextEpoch(job);
+}
+
+// Every sample is there that has been asked for.
+void Coordinator::OnQueueDone(Job& job) {
+  const bool may_go_on = IsAdaptive(job.record.settings()) &&
+                         job.stop_reason == v1::STOP_REASON_SPP;
+  may_go_on ? Evaluate(job) : Finish(job, job.stop_reason);
+}
+
+void Coordinator::Evaluate(Job& job) {
+  job.evaluating = true;
+  result_.effects.emplace_back(EvaluatePictureEffect{job.id});
 }
 
 // A unit that the film lacks. A restored film may hold nodes that wait for samples before them,
@@ -192,7 +199,8 @@ std::optional<Unit> Coordinator::TakeUnit(Job& job, int64_t size_max) {
 
 void Coordinator::OpenNextEpoch(Job& job) {
   const v1::JobSettings& settings = job.record.settings();
-  if (settings.has_replay()) return;  // nothing is left to decide, the gate stays open
+  // Nothing is left to decide, or not before the plan is done: the gate stays open.
+  if (settings.has_replay() || IsAdaptive(settings)) return;
   const SampleSchedule& schedule = job.queue->schedule();
   const int64_t committed = job.queue->committed_spp();
   const int64_t epoch_end = schedule.EpochEnd(committed);
@@ -204,11 +212,10 @@ void Coordinator::OpenNextEpoch(Job& job) {
     Finish(job, v1::STOP_REASON_MAX_TIME);
     return;
   }
-  if (settings.target_error() > 0 && committed >= kEvaluateFromSpp && !is_decided) {
+  if (settings.target_error() > 0 && committed >= kPilotSpp && !is_decided) {
     // Decisions about sampling see exactly the committed epoch (C2): nothing runs ahead.
     job.queue->SetGate(committed);
-    job.evaluating = true;
-    result_.effects.emplace_back(EvaluatePictureEffect{job.id});
+    Evaluate(job);
     return;
   }
   const bool may_stop_early = settings.target_error() > 0 || settings.has_max_time();
@@ -235,6 +242,8 @@ void Coordinator::CheckTime(Job& job) {
   const v1::JobSettings& settings = job.record.settings();
   if (!settings.has_max_time() || job.stop_reason == v1::STOP_REASON_MAX_TIME) return;
   if (job.ElapsedMs(now_.monotonic_ms) < MaxTimeMs(settings)) return;
+  // Sampled adaptively, tiles have different numbers anyway.
+  if (job.plan_floor > 0) return Finish(job, v1::STOP_REASON_MAX_TIME);
   // Every tile goes to the end of the epoch that some tile has begun: at least one.
   const int64_t end = std::max(job.queue->EpochUnderWay(), job.queue->schedule().EpochEnd(0));
   if (end <= job.queue->committed_spp()) {
@@ -261,17 +270,24 @@ void Coordinator::On(PictureEvent& event) {
   progress.set_estimated_error(event.estimated_error);
   progress.set_filter_core_seconds(progress.filter_core_seconds() + event.filter_core_seconds);
   Touch(*job);
-  if (!job->evaluating || job->queue == nullptr ||
-      event.committed_spp != job->queue->committed_spp()) {
+  if (!job->evaluating || !event.is_refined || job->queue == nullptr ||
+      event.samples != job->film->samples()) {
     return;
   }
   job->evaluating = false;
-  const double target = job->record.settings().target_error();
-  if (event.estimated_error > 0 && event.estimated_error <= target) {
-    Finish(*job, v1::STOP_REASON_TARGET_ERROR);
-  } else {
-    job->queue->SetGate(job->queue->schedule().EpochEnd(event.committed_spp));
+  const v1::JobSettings& settings = job->record.settings();
+  if (event.estimated_error > 0 && event.estimated_error <= settings.target_error()) {
+    return Finish(*job, v1::STOP_REASON_TARGET_ERROR);
   }
+  if (!IsAdaptive(settings)) {
+    return job->queue->SetGate(job->queue->schedule().EpochEnd(job->queue->committed_spp()));
+  }
+  std::vector<int64_t> plan = NextPlan(*job, event.tile_errors);
+  if (plan == job->plan) return Finish(*job, v1::STOP_REASON_SPP);
+  if (settings.has_max_time() && !PlanFits(*job, plan)) {
+    return Finish(*job, v1::STOP_REASON_MAX_TIME);
+  }
+  TakePlan(*job, std::move(plan));
 }
 
 }  // namespace tessera

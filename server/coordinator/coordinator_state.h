@@ -38,6 +38,10 @@ inline void AddCost(const TileCost& cost, v1::JobProgress* progress) {
                                     1e-9 * static_cast<double>(cost.render_ns));
 }
 
+inline int64_t MaxTimeMs(const v1::JobSettings& settings) {
+  return settings.max_time().seconds() * 1000 + settings.max_time().nanos() / 1000000;
+}
+
 // What hosts say of a unit that is audited: who, and the SHA-256 of what it rendered.
 struct Testimony {
   std::string host;
@@ -60,6 +64,11 @@ struct Coordinator::Job {
   std::shared_ptr<Film> film;
   std::vector<TileCost> costs;  // of the film, by tile; empty before the first delta
   std::unique_ptr<TileQueue> queue;  // null once no sample is wanted any more
+  // Sampled adaptively: where the samples of each tile end for now, and how many all have already.
+  // Else empty.
+  std::vector<int64_t> plan;
+  int64_t plan_floor = 0;
+  int64_t plan_samples = 0;  // of all pixels, that it asks for
 
   std::map<SessionId, int> leases_of_session;
   std::map<Unit, std::vector<LeaseId>> leases_of_unit;
@@ -82,6 +91,7 @@ struct Coordinator::Job {
   int64_t first_merge_ms = 0;  // monotonic, of this incarnation; 0 = none yet
   int64_t replay_samples = 0;  // of all pixels, that a replay asks for; 0 = it is none
   int64_t start_spp = 0;       // committed when this incarnation began
+  int64_t start_samples = 0;   // in the film then
   v1::StopReason stop_reason = v1::STOP_REASON_SPP;  // once the queue is done
   bool has_picture = false;  // one has been made in this incarnation
   bool evaluating = false;                           // EvaluatePictureEffect is under way

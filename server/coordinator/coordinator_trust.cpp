@@ -108,20 +108,20 @@ void Coordinator::Ban(const std::string& host, const std::string& reason) {
 }
 
 // Takes what the host has touched out of the film. Whole tiles start over: their samples cannot be
-// told apart any more. A job that has decided by its picture's error starts over as a whole, as the
-// decisions rested on that picture. Returns whether there was anything.
+// told apart any more. A job that decides by its picture starts over as a whole, as the decisions
+// rested on that picture. Returns whether there was anything.
 bool Coordinator::DropTouched(Job& job, const std::string& host) {
   const auto touched = job.rendered_by.find(host);
   if (touched == job.rendered_by.end()) return false;
   std::set<int64_t> tiles;
   for (const Unit& unit : touched->second) tiles.insert(unit.tile);
-  if (job.record.settings().target_error() > 0) {
+  if (job.record.settings().target_error() > 0 || IsAdaptive(job.record.settings())) {
     for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) tiles.insert(tile);
+    job.plan.clear();
   }
   ++job.resets;
   for (const int64_t tile : tiles) {
-    job.film->ResetTile(tile);
-    if (!job.costs.empty()) job.costs[static_cast<size_t>(tile)] = {};
+    ResetTile(job, tile);
     result_.effects.emplace_back(TileChangedEffect{job.id, tile});
   }
   job.rendered_by.erase(touched);

@@ -116,9 +116,12 @@ struct DrainEvent {
 // The served picture, filtered from everything that had been merged when it began.
 struct PictureEvent {
   JobId job = 0;
-  int64_t committed_spp = 0;   // of the film when the filtering began
+  int64_t samples = 0;         // of the film when the filtering began
   double estimated_error = 0;  // sqrt(relMSE); 0 = unknown
   double filter_core_seconds = 0;  // spent since the last such event
+  bool is_refined = false;         // the picture is at the job's quality
+  // Of a job that samples adaptively, at its quality: CellState::error by tile. Else empty.
+  std::vector<double> tile_errors{};
 };
 // A window of a picture that a worker may filter. Answered by a FilterAnswerEffect, now or later.
 struct FilterOfferEvent {

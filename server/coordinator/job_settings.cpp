@@ -13,6 +13,7 @@
 #include "core/base/tile_grid.h"
 #include "server/coordinator/limits.h"
 #include "server/coordinator/sample_counts.h"
+#include "server/coordinator/sample_plan.h"
 
 namespace tessera {
 namespace {
@@ -83,6 +84,13 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
         (t.seconds() == 0 && t.nanos() == 0) || t.seconds() > int64_t{10} * 366 * 86400) {
       return Invalid("settings.max_time is ", t.seconds(), " s: give a positive time");
     }
+  }
+  if (!v1::Sampling_IsValid(s.sampling())) {
+    return Invalid("settings.sampling ", static_cast<int>(s.sampling()), " is unknown");
+  }
+  if (IsAdaptive(s) && s.target_error() == 0 && !s.has_max_time()) {
+    return Invalid("settings.sampling is adaptive: give target_error or max_time with it, for a "
+                   "number of samples says nothing of when to stop");
   }
   if (s.priority() < -kPriorityMax || s.priority() > kPriorityMax) {
     return Invalid("settings.priority is ", s.priority(), ": give -", kPriorityMax, " to ",
@@ -211,6 +219,11 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
                    kSettingsBytesMax, ": join the scene's files, as a .glb does");
   }
   if (settings.isa().empty()) settings.set_isa(IsaClasses().front());
+  if (settings.sampling() == v1::SAMPLING_UNSPECIFIED) {
+    settings.set_sampling(settings.target_error() > 0 ? v1::SAMPLING_ADAPTIVE
+                                                      : v1::SAMPLING_UNIFORM);
+  }
+  if (IsAdaptive(settings)) settings.set_tile_size(kCellSizePx);
   if (settings.tile_size() == 0) settings.set_tile_size(defaults.tile_size);
   if (!settings.has_feature_spp()) settings.set_feature_spp(defaults.feature_spp);
   if (settings.quality() == v1::QUALITY_UNSPECIFIED) settings.set_quality(v1::QUALITY_FINAL);
@@ -240,6 +253,10 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
   // Needs a frame that is possible.
   if (absl::Status status = CheckReplay(settings); !status.ok()) return status;
   return settings;
+}
+
+bool IsAdaptive(const v1::JobSettings& settings) {
+  return settings.sampling() == v1::SAMPLING_ADAPTIVE;
 }
 
 Film EmptyFilmOf(const v1::JobSettings& settings) {

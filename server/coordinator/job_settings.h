@@ -30,6 +30,9 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
 absl::Status CheckRegion(const v1::JobSettings& settings, const v1::Region& region,
                          const char* field);
 
+// Whether the job's samples go where its picture needs them, with complete settings.
+bool IsAdaptive(const v1::JobSettings& settings);
+
 // A film without samples for a job with complete settings.
 Film EmptyFilmOf(const v1::JobSettings& settings);
 

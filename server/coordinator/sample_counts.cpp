@@ -6,11 +6,10 @@
 
 namespace tessera {
 
-v1::SampleCounts CountsOf(const Film& film) {
+v1::SampleCounts CountsOf(const std::vector<int64_t>& samples_by_tile, int tile_size) {
   v1::SampleCounts counts;
-  counts.set_tile_size(film.grid().tile_size());
-  for (int64_t tile = 0; tile < film.grid().num_tiles(); ++tile) {
-    const int64_t samples = film.CommittedEnd(tile);
+  counts.set_tile_size(tile_size);
+  for (const int64_t samples : samples_by_tile) {
     const int last = counts.run_samples_size() - 1;
     if (last >= 0 && counts.run_samples(last) == samples) {
       counts.set_run_tiles(last, counts.run_tiles(last) + 1);
@@ -19,8 +18,25 @@ v1::SampleCounts CountsOf(const Film& film) {
       counts.add_run_samples(samples);
     }
   }
+  return counts;
+}
+
+v1::SampleCounts CountsOf(const Film& film) {
+  std::vector<int64_t> samples(static_cast<size_t>(film.grid().num_tiles()));
+  for (int64_t tile = 0; tile < film.grid().num_tiles(); ++tile) {
+    samples[static_cast<size_t>(tile)] = film.CommittedEnd(tile);
+  }
+  v1::SampleCounts counts = CountsOf(samples, film.grid().tile_size());
   if (counts.run_samples_size() <= 1) counts.Clear();
   return counts;
+}
+
+int64_t SamplesOf(const TileGrid& grid, const std::vector<int64_t>& samples_by_tile) {
+  int64_t samples = 0;
+  for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
+    samples += samples_by_tile[static_cast<size_t>(tile)] * grid.WindowOf(tile).area();
+  }
+  return samples;
 }
 
 absl::Status CheckCounts(const v1::SampleCounts& counts, int64_t num_tiles, int64_t spp) {

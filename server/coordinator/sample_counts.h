@@ -13,6 +13,11 @@ namespace tessera {
 
 // The film's CommittedEnd of each tile. Empty if all are equal.
 v1::SampleCounts CountsOf(const Film& film);
+// Of any counts.
+v1::SampleCounts CountsOf(const std::vector<int64_t>& samples_by_tile, int tile_size);
+
+// Of all pixels of the grid's tiles together.
+int64_t SamplesOf(const TileGrid& grid, const std::vector<int64_t>& samples_by_tile);
 
 // Whether the counts give each of `num_tiles` tiles 0 to spp samples, and some tile one.
 // Errors: INVALID_ARGUMENT naming the field.

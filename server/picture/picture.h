@@ -64,6 +64,9 @@ class Picture {
   // Estimated sqrt(relMSE) of the filtered picture (DESIGN.md), from its own error output;
   // 0 = unknown. Deterministic.
   double estimated_error() const;
+  // Of the filtered picture, by tile: the estimated squared relative errors (relMSE times 3) summed
+  // over its pixels; +inf where unknown. Deterministic.
+  std::vector<double> TileErrors() const;
   // The named layers over `region`, which must lie in the job's region. While an Update runs, parts
   // of the picture may be newer than others.
   // Errors: INVALID_ARGUMENT naming the layers that there are.

@@ -6,6 +6,8 @@
 #include <numeric>
 #include <utility>
 
+#include "server/coordinator/job_settings.h"
+
 namespace tessera {
 namespace {
 
@@ -312,8 +314,13 @@ void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture
     entry.refine_at_ms = entry.used_ms + kRefineAfterMs;
   }
   if (round.cpu_seconds > 0 || is_refined) {
-    source_.on_picture({job, round.view.committed_spp, picture->estimated_error(),
-                        round.cpu_seconds});
+    PictureEvent event{.job = job,
+                       .samples = round.view.samples,
+                       .estimated_error = picture->estimated_error(),
+                       .filter_core_seconds = round.cpu_seconds,
+                       .is_refined = is_refined};
+    if (is_refined && IsAdaptive(round.view.settings)) event.tile_errors = picture->TileErrors();
+    source_.on_picture(event);
   }
   if (round.finish) source_.on_finished({job, round.view.film->Digest()});
   for (const Done& done : round.waiting) done(picture);

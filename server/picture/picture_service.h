@@ -32,7 +32,7 @@ namespace tessera {
 struct PictureSource {
   struct JobView {
     v1::JobSettings settings;
-    int64_t committed_spp = 0;
+    int64_t samples = 0;        // of the film
     bool is_sampling = false;  // more samples are to come
     std::shared_ptr<const Film> film;
     bool has_samples = true;  // the film

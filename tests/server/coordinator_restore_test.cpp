@@ -2,6 +2,8 @@
 #include <gtest/gtest.h>
 
 #include "absl/strings/match.h"
+#include "server/coordinator/sample_counts.h"
+#include "server/coordinator/sample_plan.h"
 #include "tests/server/simulated_farm.h"
 
 namespace tessera {
@@ -64,6 +66,69 @@ TEST(CoordinatorRestore, AnotherVersionFinishesWhatIsWhole) {
     EXPECT_EQ(after.Job(job).version(), "1.2.3") << "whose bits these are";
     EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(SmallSettings(16), 16));
   }
+}
+
+// A farm whose pictures are good at 20 samples a pixel, and worst in the first cell.
+void JudgePictures(SimulatedFarm* farm) {
+  farm->tile_errors = [farm](const Film& film) {
+    farm->estimated_error = film.samples() >= 20 * film.grid().region().area() ? 0.05 : 0.5;
+    std::vector<double> errors(static_cast<size_t>(film.grid().num_tiles()), 1.0);
+    errors[0] = 1000;
+    return errors;
+  };
+}
+
+// The film is stored before the record, and so may hold samples of a later plan: the decision that
+// led to it is taken again, from the same samples.
+TEST(CoordinatorRestore, AFilmNewerThanItsPlanDecidesAlike) {
+  v1::JobSettings settings = SmallSettings(1024);
+  settings.set_width(80);
+  settings.set_height(48);
+  settings.set_target_error(0.1);
+  SimulatedFarm calm;
+  JudgePictures(&calm);
+  const JobId job = calm.Create(settings);
+  calm.Connect();
+  calm.RunAll();
+  ASSERT_EQ(calm.Job(job).stop_reason(), v1::STOP_REASON_TARGET_ERROR);
+  const v1::SampleCounts counts = calm.Job(job).sample_counts();
+  ASSERT_GT(counts.run_tiles_size(), 1) << "cells differ";
+  EXPECT_GT(counts.run_samples(0), counts.run_samples(counts.run_samples_size() - 1));
+
+  SimulatedFarm before;
+  JudgePictures(&before);
+  before.Create(settings);
+  const SessionId worker = before.Connect();
+  const int64_t pilot = 8 * 80 * 48;
+  v1::Job record = *before.coordinator.RecordOf(job);
+  for (const int64_t samples : {pilot / 2, pilot + 5000, pilot + 20000}) {
+    while (before.Job(job).progress().samples() < samples) ASSERT_TRUE(before.RenderOne(worker));
+    SimulatedFarm after;
+    JudgePictures(&after);
+    after.Post(RestoreJobEvent{.job = record, .request_id = "", .film = CopyOfFilm(before, job)});
+    const TileGrid grid(PixelRect::FromSize(0, 0, 80, 48), kCellSizePx);
+    EXPECT_LE(after.Job(job).progress().samples(), SamplesOf(grid, ExpandCounts(record.plan())));
+    after.Connect();
+    after.RunAll();
+    EXPECT_EQ(after.Job(job).digest(), calm.Job(job).digest()) << "after " << samples;
+    record = *before.coordinator.RecordOf(job);
+  }
+}
+
+TEST(CoordinatorRestore, ADamagedPlanStartsFromThePilot) {
+  v1::JobSettings settings = SmallSettings(64);
+  settings.set_target_error(0.1);
+  SimulatedFarm before;
+  const JobId job = before.Create(settings);
+  RestoreJobEvent event{.job = *before.coordinator.RecordOf(job), .request_id = ""};
+  event.job.mutable_plan()->set_run_tiles(0, 1000000);
+  SimulatedFarm after;
+  after.Post(std::move(event));
+  after.estimated_error = 0.05;
+  after.Connect();
+  after.RunAll();
+  EXPECT_EQ(after.Job(job).state(), v1::JOB_STATE_DONE);
+  EXPECT_EQ(after.Job(job).progress().committed_spp(), kPilotSpp);
 }
 
 TEST(CoordinatorRestore, AReplayOfAnotherVersionFailsWithTheRemedy) {

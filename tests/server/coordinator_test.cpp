@@ -408,6 +408,7 @@ TEST(Coordinator, TargetErrorStopsOnACommittedEpoch) {
   SimulatedFarm farm;
   v1::JobSettings settings = SmallSettings(1024);
   settings.set_target_error(0.1);
+  settings.set_sampling(v1::SAMPLING_UNIFORM);
   const JobId job = farm.Create(settings);
   const SessionId one = farm.Connect(), two = farm.Connect();
   while (farm.Job(job).progress().committed_spp() < 12) {
@@ -487,6 +488,7 @@ TEST(Coordinator, ARestartMayFallBetweenTwoPasses) {
 TEST(Coordinator, ARestartAmidAnEpochDoesNotDecideAnew) {
   v1::JobSettings settings = SmallSettings(1024);
   settings.set_target_error(0.1);
+  settings.set_sampling(v1::SAMPLING_UNIFORM);
   SimulatedFarm before;
   const JobId job = before.Create(settings);
   const SessionId worker = before.Connect();

@@ -221,7 +221,7 @@ struct OneJob {
     source.view = [this](JobId) {
       std::lock_guard lock(mu);
       return std::make_unique<PictureSource::JobView>(
-          PictureSource::JobView{settings, film->CommittedEnd(), is_sampling, film,
+          PictureSource::JobView{settings, film->samples(), is_sampling, film,
                                  film->samples() > 0});
     };
     source.fold_tile = [](const Film& from, int64_t tile) { return from.Fold(tile); };
@@ -359,7 +359,7 @@ TEST(PictureService, AnEvaluationThatIsAskedForDuringARoundIsAnswered) {
   PictureService* running = nullptr;
   source.view = [&, view = source.view](JobId id) {
     auto read = view(id);
-    if (read->committed_spp == 0) {
+    if (read->samples == 0) {
       job.Grow(*running, std::make_shared<const Film>(SyntheticFilm(1, grid, 8)), true);
       running->Evaluate(id);
     }
@@ -367,7 +367,7 @@ TEST(PictureService, AnEvaluationThatIsAskedForDuringARoundIsAnswered) {
   };
   std::promise<void> answered;
   source.on_picture = [&, is_first = true](const PictureEvent& event) mutable {
-    if (event.committed_spp == 8 && is_first) {
+    if (event.samples == 8 * grid.region().area() && is_first) {
       is_first = false;
       answered.set_value();
     }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <deque>
+#include <functional>
 #include <map>
 #include <optional>
 #include <string>
@@ -169,6 +170,10 @@ class SimulatedFarm {
   std::deque<Event> answers;
   bool answer_pictures = true;
   double estimated_error = 0.5;  // what evaluated pictures say
+  // And of their tiles, asked before: by default that all are equally bad.
+  std::function<std::vector<double>(const Film&)> tile_errors = [](const Film& film) {
+    return std::vector<double>(static_cast<size_t>(film.grid().num_tiles()), 1.0);
+  };
   std::vector<JobId> removed, saved;
   std::vector<std::string> bans;
   std::vector<FilterAnswerEffect> filter_answers;
@@ -200,8 +205,14 @@ class SimulatedFarm {
   void Apply(const RemoveJobEffect& effect) { removed.push_back(effect.job); }
   void Apply(const FilterAnswerEffect& effect) { filter_answers.push_back(effect); }
   void Apply(const EvaluatePictureEffect& effect) {
-    const int64_t committed_spp = coordinator.GetJob(effect.job)->progress().committed_spp();
-    answers.push_back(PictureEvent{effect.job, committed_spp, estimated_error, 0});
+    const v1::Job job = *coordinator.GetJob(effect.job);
+    PictureEvent picture{
+        .job = effect.job, .samples = job.progress().samples(), .is_refined = true};
+    if (IsAdaptive(job.settings())) {
+      picture.tile_errors = tile_errors(*coordinator.FilmOf(effect.job));
+    }
+    picture.estimated_error = estimated_error;
+    answers.push_back(std::move(picture));
   }
   void Apply(const FinishJobEffect& effect) {
     answers.push_back(JobFinishedEvent{effect.job, coordinator.FilmOf(effect.job)->Digest()});

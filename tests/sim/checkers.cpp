@@ -4,9 +4,11 @@
 #include <memory>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
 #include "server/coordinator/sample_counts.h"
+#include "server/coordinator/sample_plan.h"
 #include "server/coordinator/sample_schedule.h"
 #include "tests/sim/sim_scene.h"
 
@@ -18,15 +20,28 @@ std::string Name(JobId job, const Unit& unit) {
                       unit.range.end, ")");
 }
 
-// Where a job with a target error stops: what the schedule and the filter's estimates say.
-int64_t TargetSpp(const v1::JobSettings& s) {
+// Where the tiles of a job with a target error end: what its decisions and the filter's estimates
+// say.
+std::vector<int64_t> TargetCounts(const v1::JobSettings& s, const TileGrid& grid) {
   const SampleSchedule schedule(s.spp(), int64_t{s.tile_size()} * s.tile_size(), true);
-  int64_t committed = 0;
-  while (committed < s.spp()) {
-    committed = schedule.EpochEnd(committed);
-    if (committed >= 8 && SimError(committed) <= s.target_error()) break;
+  std::vector<int64_t> counts(static_cast<size_t>(grid.num_tiles()), std::min(kPilotSpp, s.spp()));
+  while (true) {
+    const std::vector<double> errors = SimTileErrors(grid, counts);
+    if (SimError(grid, errors) <= s.target_error()) return counts;
+    std::vector<int64_t> next(counts.size());
+    if (IsAdaptive(s)) {
+      std::vector<CellState> cells;
+      for (size_t tile = 0; tile < counts.size(); ++tile) {
+        const int64_t area = grid.WindowOf(static_cast<int64_t>(tile)).area();
+        cells.push_back({counts[tile], counts[tile] * area, errors[tile]});
+      }
+      next = PlanSamples(grid, cells, s.target_error(), s.spp());
+    } else if (counts[0] < s.spp()) {
+      std::ranges::fill(next, schedule.EpochEnd(counts[0]));
+    }
+    if (next == counts || counts[0] >= s.spp()) return counts;
+    counts = std::move(next);
   }
-  return committed;
 }
 
 }  // namespace
@@ -195,12 +210,15 @@ void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
   }
   switch (record.state()) {
     case v1::JOB_STATE_DONE: {
-      int64_t spp = s.spp();
-      if (record.stop_reason() == v1::STOP_REASON_MAX_TIME) spp = record.progress().committed_spp();
-      if (s.target_error() > 0) spp = std::min(spp, TargetSpp(s));
-      if (std::ranges::count(counts, spp) != std::ssize(counts)) {
-        return Fail(absl::StrCat(record.name(), " ended with ", record.progress().committed_spp(),
-                                 " samples per pixel, not with ", spp));
+      const bool by_time = record.stop_reason() == v1::STOP_REASON_MAX_TIME;
+      if (by_time && IsAdaptive(s)) break;  // anywhere: the digest is that of its counts
+      const int64_t spp = by_time ? record.progress().committed_spp() : s.spp();
+      const std::vector<int64_t> expected = s.target_error() > 0
+                                                ? TargetCounts(s, grid)
+                                                : std::vector<int64_t>(counts.size(), spp);
+      if (counts != expected) {
+        return Fail(absl::StrCat(record.name(), " ended with ", absl::StrJoin(counts, " "),
+                                 " samples per pixel, not with ", absl::StrJoin(expected, " ")));
       }
       break;
     }

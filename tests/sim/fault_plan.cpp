@@ -41,8 +41,14 @@ JobPlan MakeJob(SimRandom& random, int64_t create_us_max) {
   s.set_priority(random.Chance(0.2) ? static_cast<int>(random.Between(-1, 1)) : 0);
   if (random.Chance(0.2)) {
     s.set_target_error(0.05 + 0.2 * random.Uniform());
+    s.set_sampling(s.seed() % 3 == 0 ? v1::SAMPLING_UNIFORM : v1::SAMPLING_ADAPTIVE);
   } else if (random.Chance(0.1)) {
     s.mutable_max_time()->set_seconds(random.Between(1, 10));
+    if (s.seed() % 2 == 0) s.set_sampling(v1::SAMPLING_ADAPTIVE);
+  }
+  if (s.sampling() == v1::SAMPLING_ADAPTIVE) {  // six cells
+    s.set_width(40);
+    s.set_height(24);
   }
   job.create_us = random.Between(0, create_us_max);
   const double fate = random.Uniform();

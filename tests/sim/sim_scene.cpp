@@ -4,6 +4,7 @@
 #include <atomic>
 #include <cmath>
 #include <map>
+#include <numeric>
 #include <tuple>
 
 #include "core/base/sha256.h"
@@ -89,8 +90,19 @@ std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<i
   return cache->emplace(key, ToBytes(film.Digest())).first->second;
 }
 
-double SimError(int64_t committed_spp) {
-  return committed_spp == 0 ? 0 : 1.0 / std::sqrt(static_cast<double>(committed_spp));
+std::vector<double> SimTileErrors(const TileGrid& grid, const std::vector<int64_t>& samples) {
+  std::vector<double> errors(samples.size());
+  for (size_t tile = 0; tile < errors.size(); ++tile) {
+    const double difficulty = 0.25 * static_cast<double>(1 + tile * 7 % 5);
+    errors[tile] = 3 * difficulty / static_cast<double>(samples[tile]) *
+                   static_cast<double>(grid.WindowOf(static_cast<int64_t>(tile)).area());
+  }
+  return errors;
+}
+
+double SimError(const TileGrid& grid, const std::vector<double>& tile_errors) {
+  const double sum = std::accumulate(tile_errors.begin(), tile_errors.end(), 0.0);
+  return std::sqrt(sum / (3 * static_cast<double>(grid.region().area())));
 }
 
 SimWindow MakeSimWindow(JobId job, uint64_t number) {

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "core/base/tile_grid.h"
 #include "core/denoise/denoiser.h"
 #include "server/coordinator/event.h"
 #include "tessera/v1/job.pb.h"
@@ -42,7 +43,9 @@ absl::StatusOr<v1::FilteredWindow> SimFilter(const v1::FilterLease& lease,
 std::string ReferenceDigest(const v1::JobSettings& settings, const std::vector<int64_t>& counts,
                             const std::string& arithmetic);
 
-// What the server's filter would estimate of a picture of so many samples per pixel.
-double SimError(int64_t committed_spp);
+// What the server's filter would estimate of a picture whose tiles have so many samples: by tile
+// (CellState::error), and of the whole.
+std::vector<double> SimTileErrors(const TileGrid& grid, const std::vector<int64_t>& samples);
+double SimError(const TileGrid& grid, const std::vector<double>& tile_errors);
 
 }  // namespace tessera

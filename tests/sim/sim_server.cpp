@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <map>
 #include <memory>
 #include <set>
@@ -142,11 +143,20 @@ class SimServer::Run : public EffectSink {
   void On(const RemoveJobEffect& e) { saver_.Remove(e.job); }
   void On(const EvaluatePictureEffect& e) {
     FilterThen(e.job, [this, job = e.job] {
-      const absl::StatusOr<v1::Job> record =
-          host_.Read([&](const Coordinator& c) { return c.GetJob(job); });
-      if (!record.ok()) return;
-      const int64_t spp = record->progress().committed_spp();
-      (void)Post(PictureEvent{job, spp, SimError(spp), 0});
+      const std::shared_ptr<const Film> film =
+          host_.Read([&](const Coordinator& c) { return c.FilmOf(job); });
+      if (film == nullptr) return;
+      std::vector<int64_t> samples;
+      for (int64_t tile = 0; tile < film->grid().num_tiles(); ++tile) {
+        samples.push_back(film->CommittedEnd(tile));
+      }
+      std::vector<double> errors = SimTileErrors(film->grid(), samples);
+      const double error = SimError(film->grid(), errors);
+      (void)Post(PictureEvent{.job = job,
+                              .samples = film->samples(),
+                              .estimated_error = std::isfinite(error) ? error : 0,
+                              .is_refined = true,
+                              .tile_errors = std::move(errors)});
       Settle();
     });
   }

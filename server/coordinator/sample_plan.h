@@ -1,0 +1,38 @@
+// Where the next samples of a job go that is sampled adaptively. A pure function of what a
+// committed epoch has found, so every run of the job takes the same decisions (C2).
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "core/base/tile_grid.h"
+
+namespace tessera {
+
+// The tiles of such a job: decisions live on a grid that no setting moves (C2).
+inline constexpr int kCellSizePx = 16;
+// What every cell gets before anything is decided: fewer say too little about their own variance.
+inline constexpr int64_t kPilotSpp = 8;
+
+// What is known of one cell.
+struct CellState {
+  int64_t samples = 0;  // of each pixel
+  int64_t rays = 0;     // that they have cost
+  // Of the filtered picture: the estimated squared relative error (relMSE times 3), summed over the
+  // cell's pixels; not finite = unknown.
+  double error = 0;
+};
+
+// How many samples each cell's pixels shall have at the end of the next epoch, by tile of `grid`,
+// of `cells`, from as many as they have to spp_max. The cells get so many that the estimated error
+// falls most for the rays (Neyman 1934; with costs Cochran 1977, Sampling Techniques, eq. 5.23:
+// n ~ sqrt(variance / cost)), taken from the error of a cell and its neighbours, among which the
+// filter spreads news and one pixel that stands out moves little. All together as many as reach
+// target_error (sqrt(relMSE) of the whole; 0 = none) if errors fell as 1/n, but at least a quarter
+// and at most as much again as the rays so far: a filtered error falls more slowly, and the next
+// epoch sees it. What `cells` have is returned only when none may have more.
+std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState> cells,
+                                 double target_error, int64_t spp_max);
+
+}  // namespace tessera

@@ -1,0 +1,123 @@
+#include "server/coordinator/sample_plan.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "gtest/gtest.h"
+
+namespace tessera {
+namespace {
+
+const TileGrid kGrid(PixelRect::FromSize(0, 0, 316, 60), kCellSizePx);  // 20 x 4, the last ones cut
+constexpr size_t kColumns = 20, kCells = 80;
+
+double AreaOf(int64_t tile) { return static_cast<double>(kGrid.WindowOf(tile).area()); }
+
+// Cells with so much variance per sample and pixel, and the samples and rays per sample given.
+std::vector<CellState> Cells(const std::vector<double>& variances,
+                             const std::vector<int64_t>& samples, double rays_per_sample = 5) {
+  std::vector<CellState> cells;
+  for (int64_t tile = 0; tile < kGrid.num_tiles(); ++tile) {
+    const auto i = static_cast<size_t>(tile);
+    const auto count = static_cast<double>(samples[i]);
+    cells.push_back({samples[i], static_cast<int64_t>(rays_per_sample * count * AreaOf(tile)),
+                     3 * variances[i] / count * AreaOf(tile)});
+  }
+  return cells;
+}
+
+double ErrorOf(const std::vector<CellState>& cells) {
+  double sum = 0, area = 0;
+  for (size_t i = 0; i < cells.size(); ++i) {
+    sum += cells[i].error;
+    area += 3 * AreaOf(static_cast<int64_t>(i));
+  }
+  return std::sqrt(sum / area);
+}
+
+double RaysOf(const std::vector<CellState>& cells) {
+  return std::accumulate(cells.begin(), cells.end(), 0.0, [](double sum, const CellState& cell) {
+    return sum + static_cast<double>(cell.rays);
+  });
+}
+
+const std::vector<int64_t> kPilot(kCells, kPilotSpp);
+
+TEST(SamplePlan, EqualCellsGrowTogether) {
+  const std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1.0), kPilot);
+  EXPECT_EQ(PlanSamples(kGrid, cells, 0.01, 1 << 20), std::vector<int64_t>(kCells, 16));
+  EXPECT_EQ(PlanSamples(kGrid, cells, 0.01, 12), std::vector<int64_t>(kCells, 12));
+  EXPECT_EQ(PlanSamples(kGrid, cells, 0.01, 8), kPilot);
+}
+
+TEST(SamplePlan, NeverTakesSamplesBack) {
+  std::vector<double> variances(kCells);
+  std::vector<int64_t> samples(kCells);
+  for (size_t i = 0; i < kCells; ++i) {
+    variances[i] = static_cast<double>(i * 37 % 11);
+    samples[i] = static_cast<int64_t>(8 << i * 5 % 4);
+  }
+  const std::vector<int64_t> plan = PlanSamples(kGrid, Cells(variances, samples), 0.001, 1 << 20);
+  for (size_t i = 0; i < kCells; ++i) EXPECT_GE(plan[i], samples[i]);
+  EXPECT_NE(plan, samples);
+}
+
+TEST(SamplePlan, AtMostAboutTwiceTheRays) {
+  std::vector<double> variances(kCells, 1.0);
+  std::fill(variances.begin(), variances.begin() + 40, 100.0);
+  std::vector<CellState> cells = Cells(variances, kPilot);
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, 1e-6, 1 << 20);
+  // Steps are a factor of 4/3 or 3/2 apart.
+  EXPECT_LE(RaysOf(Cells(variances, plan)), 2 * 1.25 * RaysOf(cells));
+  EXPECT_GE(RaysOf(Cells(variances, plan)), 2 / 1.25 * RaysOf(cells));
+}
+
+// Where errors fall as 1/n, cells end at samples ~ sqrt(variance / cost), with fewer rays than
+// uniform sampling needs for the same error.
+TEST(SamplePlan, ConvergesToNeymansAllocation) {
+  std::vector<double> variances(kCells, 1.0);
+  for (size_t i = 0; i < kCells; ++i) {
+    if (i % kColumns < 5) variances[i] = 256;  // five columns
+  }
+  const double target = 0.5;
+  std::vector<int64_t> samples = kPilot;
+  int epochs = 0;
+  while (ErrorOf(Cells(variances, samples)) > target) {
+    ASSERT_LT(++epochs, 20);
+    samples = PlanSamples(kGrid, Cells(variances, samples), target, 1 << 20);
+  }
+  const double ratio = static_cast<double>(samples[0]) / static_cast<double>(samples[19]);
+  EXPECT_GE(ratio, 16 / 1.5);
+  EXPECT_LE(ratio, 16 * 1.5);
+  const double uniform = std::accumulate(variances.begin(), variances.end(), 0.0) / kCells /
+                         (target * target);
+  const double adaptive = RaysOf(Cells(variances, samples)) / (5.0 * kGrid.region().area());
+  EXPECT_LT(adaptive, 0.7 * uniform);
+}
+
+TEST(SamplePlan, DearCellsGetFewer) {
+  std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1.0), kPilot);
+  for (size_t i = 0; i < kCells; ++i) {
+    if (i % kColumns < 5) cells[i].rays *= 100;
+  }
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, 1e-3, 1 << 20);
+  EXPECT_GT(plan[19], plan[0]);
+}
+
+TEST(SamplePlan, WhatIsUnknownGetsSamplesToo) {
+  std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1e-6), kPilot);
+  cells[10].error = std::numeric_limits<double>::infinity();
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, 1e-3, 1 << 20);
+  EXPECT_GT(plan[10], plan[79]);
+}
+
+// Estimates may say that nothing is left, or less than nothing, while the target is missed.
+TEST(SamplePlan, GoesOnWithoutAnyError) {
+  const std::vector<CellState> cells = Cells(std::vector<double>(kCells, -1.0), kPilot);
+  EXPECT_NE(PlanSamples(kGrid, cells, 1e-3, 1 << 20), kPilot);
+}
+
+}  // namespace
+}  // namespace tessera
