@@ -149,6 +149,14 @@ FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
   for (int64_t i = 0; i < num_jobs; ++i) {
     plan.jobs.push_back(MakeJob(random, is_large ? kSecond : plan.faults_end_us / 2));
   }
+  // One sample of a cell of 256 pixels takes 8 s at most: no thread could tell a render that is so
+  // slow from one that hangs.
+  const bool has_cells = std::ranges::any_of(plan.jobs, [](const JobPlan& job) {
+    return job.settings.sampling() == v1::SAMPLING_ADAPTIVE;
+  });
+  for (WorkerPlan& worker : plan.workers) {
+    if (has_cells) worker.samples_per_ms = std::max(worker.samples_per_ms, 256 / 8000.0);
+  }
   const int64_t num_faults = random.Chance(0.05) ? 0 : random.Between(1, is_large ? 60 : 12);
   for (int64_t i = 0; i < num_faults; ++i) plan.faults.push_back(MakeFault(random, plan));
   AddBadCitizens(random, &plan);
