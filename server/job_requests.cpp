@@ -17,6 +17,10 @@ JobRequests::JobRequests(CoordinatorHost& host, AssetStore& assets, SettingsDefa
       defaults_(std::move(defaults)),
       keeper_(std::move(keeper)) {}
 
+absl::Status JobRequests::CheckSettings(const v1::JobSettings& settings) const {
+  return CompleteSettings(settings, defaults_).status();
+}
+
 absl::Status JobRequests::Create(const v1::CreateJobRequest& request, const std::string& owner,
                                  v1::Job* response) {
   const JobId repeated =

@@ -26,6 +26,8 @@ class JobRequests {
   JobRequests(CoordinatorHost& host, AssetStore& assets, SettingsDefaults defaults,
               JobKeeper keeper);
 
+  // Whether a job may have such settings. Errors: as CompleteSettings.
+  absl::Status CheckSettings(const v1::JobSettings& settings) const;
   // owner: the name of the token that asks; empty where none is needed.
   // Errors: as JobService.CreateJob.
   absl::Status Create(const v1::CreateJobRequest& request, const std::string& owner,

@@ -63,6 +63,10 @@ absl::Status JobService::Create(const grpc::CallbackServerContext& context,
   const bool is_repeated =
       host_.Read([&](const Coordinator& c) { return c.JobOfRequest(request.request_id()) != 0; });
   if (is_repeated) return requests_.Create(request, caller->name, response);
+  // What no client may ask for is not a matter of what this one has already.
+  if (absl::Status status = requests_.CheckSettings(request.settings()); !status.ok()) {
+    return status;
+  }
   const std::string client = ClientOf(*caller, context.peer());
   const absl::StatusOr<ClientLimits::Hold> hold = limits_.Admit(client, request.settings());
   if (!hold.ok()) return hold.status();

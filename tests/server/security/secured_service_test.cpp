@@ -131,7 +131,8 @@ TEST_F(SecuredServiceTest, EveryMethodAsksForATokenAndItsRole) {
         };
         EXPECT_EQ(code(""), grpc::StatusCode::UNAUTHENTICATED) << method;
         EXPECT_EQ(code("not-one-of-them!"), grpc::StatusCode::UNAUTHENTICATED) << method;
-        const bool is_workers = method.ends_with("/Work") || method.ends_with("/ReadAsset");
+        const bool is_workers = method.ends_with("/Work") || method.ends_with("/ReadAsset") ||
+                                method.ends_with("/ReadFilterInput");
         EXPECT_EQ(code(is_workers ? kAda : kRack), grpc::StatusCode::PERMISSION_DENIED) << method;
         ++num_methods;
       }
