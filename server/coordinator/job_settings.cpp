@@ -55,6 +55,11 @@ absl::Status CheckFrame(const v1::JobSettings& s) {
   const PixelRect region = RegionOf(s);
   const int64_t columns = (region.width() + s.tile_size() - 1) / s.tile_size();
   const int64_t rows = (region.height() + s.tile_size() - 1) / s.tile_size();
+  if (columns * rows > kTilesMax && IsAdaptive(s)) {
+    return Invalid("settings.sampling: by need it cuts the region into ", columns * rows,
+                   " cells, more than ", kTilesMax,
+                   ": sample uniformly (--sampling uniform), or render the frame in parts");
+  }
   if (columns * rows > kTilesMax) {
     return Invalid("settings.tile_size ", s.tile_size(), " cuts the region into ", columns * rows,
                    " tiles, more than ", kTilesMax, ": give a larger tile size");

@@ -67,6 +67,14 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
        [](auto* s) { s->set_target_error(std::numeric_limits<double>::quiet_NaN()); }},
       {"max_time", [](auto* s) { s->mutable_max_time()->set_seconds(-1); }},
       {"denoiser", [](auto* s) { s->set_denoiser("magic"); }},
+      {"sampling", [](auto* s) { s->set_sampling(v1::SAMPLING_ADAPTIVE); }},
+      {"sampling", [](auto* s) { s->set_sampling(static_cast<v1::Sampling>(9)); }},
+      {"sampling",
+       [](auto* s) {
+         s->set_target_error(0.1);
+         s->set_width(16384);
+         s->set_height(16384);
+       }},
       {"isa", [](auto* s) { s->set_isa("armv8"); }},
       {"arithmetic", [](auto* s) { s->set_arithmetic("armv8"); }},
       {"tile_size", [](auto* s) { s->set_tile_size(4096); }},
