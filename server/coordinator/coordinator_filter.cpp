@@ -146,9 +146,9 @@ void Coordinator::On(FilteredEvent& event) {
     worker->filter_not_before_ms = now_.monotonic_ms + static_cast<int64_t>(1e3 * pause_s);
   }
   if (Job* const job = FindJob(lease.job)) {
-    // Decisions may rest on it: should the host be banned, the job starts over (ResetTouched).
+    // Decisions may rest on it: should the host be banned, the job starts over (DropTouched).
     if (config_.audit_rate > 0 && job->queue != nullptr &&
-        job->record.settings().target_error() > 0) {
+        DecidesByPicture(job->record.settings())) {
       job->rendered_by.try_emplace(worker->hello.host());
     }
     v1::JobProgress& progress = *job->record.mutable_progress();

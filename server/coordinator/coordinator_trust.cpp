@@ -115,7 +115,7 @@ bool Coordinator::DropTouched(Job& job, const std::string& host) {
   if (touched == job.rendered_by.end()) return false;
   std::set<int64_t> tiles;
   for (const Unit& unit : touched->second) tiles.insert(unit.tile);
-  if (job.record.settings().target_error() > 0 || IsAdaptive(job.record.settings())) {
+  if (DecidesByPicture(job.record.settings())) {
     for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) tiles.insert(tile);
     job.plan.clear();
   }

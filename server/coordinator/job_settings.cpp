@@ -264,6 +264,10 @@ bool IsAdaptive(const v1::JobSettings& settings) {
   return settings.sampling() == v1::SAMPLING_ADAPTIVE;
 }
 
+bool DecidesByPicture(const v1::JobSettings& settings) {
+  return settings.target_error() > 0 || IsAdaptive(settings);
+}
+
 Film EmptyFilmOf(const v1::JobSettings& settings) {
   return Film(TileGrid(RegionOf(settings), settings.tile_size()),
               FeatureEndOf(settings.feature_spp()));

@@ -125,7 +125,8 @@ std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState
       ratio_max = std::max(ratio_max, cells[i].weight / std::max(1.0, cells[i].samples));
     }
   }
-  // All that is wanted lies between two steps: those that want most go up one.
+  // All that is wanted lies between two steps: those that want most, within a factor of two, which
+  // is more than a step, go up one.
   for (size_t i = 0; !grows && i < states.size(); ++i) {
     if (states[i].samples >= spp_max) continue;
     if (cells[i].weight / std::max(1.0, cells[i].samples) < 0.5 * ratio_max) continue;

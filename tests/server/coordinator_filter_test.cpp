@@ -208,9 +208,17 @@ TEST_F(FilterFarm, AnswersToOtherQuestionsCloseTheSession) {
   }
 }
 
-TEST_F(FilterFarm, LiarsAreBannedAndDecisionsTheyTouchedAreMadeAgain) {
+class FilterLiars : public FilterFarm, public ::testing::WithParamInterface<bool> {};
+INSTANTIATE_TEST_SUITE_P(StopsByTime, FilterLiars, ::testing::Bool());
+
+TEST_P(FilterLiars, AreBannedAndDecisionsTheyTouchedAreMadeAgain) {
   v1::JobSettings settings = SmallSettings(64);
-  settings.set_target_error(0.01);
+  if (GetParam()) {
+    settings.set_sampling(v1::SAMPLING_ADAPTIVE);
+    settings.mutable_max_time()->set_seconds(1000);
+  } else {
+    settings.set_target_error(0.01);
+  }
   settings.set_denoiser("none");
   farm.answer_pictures = false;
   const JobId job = farm.Create(settings);
