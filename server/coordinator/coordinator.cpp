@@ -48,6 +48,7 @@ StepResult Coordinator::Step(Event event, Instant now) {
 
 void Coordinator::On(TickEvent& event) {
   NoteIngest(event.ingest_load);
+  TakeWait();
   for (auto& [id, job] : jobs_) {
     if (!job->IsOpen()) continue;
     CheckTime(*job);

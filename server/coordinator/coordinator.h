@@ -123,6 +123,7 @@ class Coordinator {
     int64_t issued_ms = 0;
     int64_t expires_ms = 0;
     bool is_race = false;
+    bool had_to_build = false;  // its scene first, as its worker has said
     v1::LeaseProgress::State state = v1::LeaseProgress::STATE_UNSPECIFIED;
     int64_t samples = 0;  // done, as far as it was told
   };
@@ -179,8 +180,6 @@ class Coordinator {
   void ApplyLook(Job& job);
   void Finish(Job& job, v1::StopReason reason);
   absl::Status CheckFirstFilm(const Job& job) const;
-  void GoOn(Job& job);  // after a restart
-  bool StartOver(Job& job);
   void RestorePlan(Job& job);
   void ResetTile(Job& job, int64_t tile);
   void Fail(Job& job, const std::string& error);
@@ -190,6 +189,10 @@ class Coordinator {
   int64_t SamplesTotal(const Job& job) const;  // while it has a queue
   void UpdateProgress(Job& job);
   void DropStoredFilm(Job& job);
+
+  // After a restart (coordinator_restore.cpp).
+  void GoOn(Job& job);
+  bool StartOver(Job& job);
 
   // Merging and stopping (coordinator_merge.cpp).
   absl::Status CheckDelta(const Job& job, const DeltaEvent& event) const;
@@ -236,11 +239,18 @@ class Coordinator {
   void RenewFilterLease(SessionId session, LeaseId id);
   void ExpireFilterLeases();
 
-  // Leases (coordinator_leases.cpp).
+  // Workers and what they say (coordinator_workers.cpp).
   Worker* FindWorker(SessionId session);
   void Send(SessionId session, v1::CoordinatorMessage message);
   void CloseWorker(SessionId session, const absl::Status& status);
   void RemoveWorker(SessionId session);
+  bool NoteProgress(const v1::LeaseProgress& progress, Lease* lease);
+  void Renew(LeaseId id);
+  void RenewFollowers(const Worker& worker);
+  bool BuildMayGoOn(Worker& worker, JobId id);
+  void DropLeasesOf(Worker& worker, JobId id, LeaseId but);
+
+  // Leases (coordinator_leases.cpp).
   void GrantAll();
   bool GrantRound(const std::vector<Worker*>& workers, bool stalled);
   bool GrantOne(Worker& worker);
@@ -250,21 +260,22 @@ class Coordinator {
   void NoteIngest(double load);
   void Grant(Worker& worker, Job& job, const Unit& unit);
   size_t LeasesMax(const Worker& worker) const;
-  void RaceIdleWorkers();
-  bool MayRace(const Lease& lease) const;
-  void Race(Worker& worker, std::vector<LeaseId>* leases);
   bool CanServe(const Worker& worker, const Job& job) const;
   void DropLease(LeaseId id, bool revoke);
   void DropLeasesOf(Job& job, const Unit& unit);
-  bool NoteProgress(const v1::LeaseProgress& progress, Lease* lease);
-  void Renew(LeaseId id);
-  void RenewFollowers(const Worker& worker);
-  bool BuildMayGoOn(Worker& worker, JobId id);
-  void DropLeasesOf(Worker& worker, JobId id, LeaseId but);
   void ExpireLeases();
   bool IsSilent(const Worker& worker) const;
   bool FitsMemory(const Job& job) const;
   void CountFilm(Job& job);
+
+  // Leases that take long (coordinator_races.cpp).
+  void NoteWait(const Worker& worker, const Lease& lease, const DeltaEvent& event);
+  void TakeWait();
+  void RaceIdleWorkers();
+  bool MayRace(const Lease& lease) const;
+  void Race(Worker& worker, std::vector<LeaseId>* leases);
+
+  // Why jobs wait (coordinator_waiting.cpp).
   void UpdateWaiting();
   void UpdateWaitingOf(Job& job);
   std::string WaitingReason(const Job& job) const;
@@ -291,6 +302,9 @@ class Coordinator {
   std::set<SessionId> may_take_;
   bool units_changed_ = false;
   std::map<LeaseId, Lease> leases_;
+  // How long deltas wait for the server: since the last tick by (session, ms), and lately.
+  std::vector<std::pair<SessionId, double>> waits_;
+  double wait_ms_ = 0;
   std::set<JobId> suspicious_;        // jobs with suspects
   std::set<std::string> banned_;      // hosts that returned wrong bits
   std::string disk_full_;             // why nothing can be kept; empty = it can

@@ -114,8 +114,8 @@ TEST(CoordinatorLeases, WhatFollowsADeltaOnTheSameLinkIsNotLate) {
 }
 
 // Forty workers render faster than the server takes in: each delta waits for 2.4 s, longer than a
-// lease lasts. No lease is lost for that (idle workers may race some).
-TEST(CoordinatorLeases, DeltasThatWaitForTheServerLoseNoLease) {
+// lease lasts. Nothing is rendered a second time for that, neither as lost nor as a race.
+TEST(CoordinatorLeases, DeltasThatWaitForTheServerMakeNoWorkTwice) {
   constexpr int kWorkers = 40;
   SimulatedFarm farm;
   v1::JobSettings settings = SmallSettings(2);
@@ -136,6 +136,60 @@ TEST(CoordinatorLeases, DeltasThatWaitForTheServerLoseNoLease) {
   const CoordinatorTotals totals = farm.coordinator.Totals();
   EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
   EXPECT_EQ(totals.leases_expired, 0);
+  EXPECT_EQ(totals.deltas_refused, 0);
+  EXPECT_EQ(totals.leases_granted, totals.deltas_merged);
+}
+
+int64_t Races(const SimulatedFarm& farm) {
+  return std::ranges::count_if(farm.coordinator.ListLeases(), &Coordinator::LeaseView::is_race);
+}
+
+// Other workers' deltas wait for 2.7 s each, and keep coming: the slow one is raced, if late.
+TEST(CoordinatorLeases, ASlowRenderIsRacedWhateverWaitsForTheServer) {
+  SimulatedFarm farm;
+  farm.Create(SmallSettings(1));
+  const SessionId slow = farm.Connect(4);
+  ASSERT_EQ(farm.workers[slow].leases.size(), 6u) << "all that the job has";
+  v1::JobSettings settings = SmallSettings(1 << 16);
+  const JobId other = farm.Create(settings);
+  const SessionId small = farm.Connect(1, "small", 1);
+  DeclineEvent decline{.session = small, .decline = {}};
+  decline.decline.set_lease_id(farm.workers[small].leases.front().id());
+  decline.decline.set_reason(v1::DeclineLease::REASON_MEMORY);
+  farm.Post(std::move(decline));
+  farm.workers[small].leases.clear();
+  const SessionId busy[] = {farm.Connect(1), farm.Connect(1)};
+  for (int64_t held_ms = 900; held_ms < 6000; held_ms += 900) {
+    farm.now_ms += 900;
+    farm.Heartbeat(slow, held_ms);
+    farm.Heartbeat(small, held_ms);
+    for (const SessionId session : busy) ASSERT_TRUE(farm.RenderOne(session));
+    farm.Post(TickEvent{});
+    // The first deltas have waited for less.
+    if (held_ms >= 2700 && held_ms < 4000) {
+      EXPECT_EQ(farm.workers[small].leases.size(), 0u) << held_ms;
+    }
+    if (held_ms >= 4900) {
+      EXPECT_GE(farm.workers[small].leases.size(), 1u) << held_ms;
+    }
+  }
+  EXPECT_EQ(farm.Job(other).state(), v1::JOB_STATE_RUNNING);
+}
+
+// Once nothing comes any more, what is still out is not waiting for the server.
+TEST(CoordinatorLeases, ASlowRenderIsRacedAtOnceWhereNothingWaits) {
+  SimulatedFarm farm;
+  farm.Create(SmallSettings(1));
+  const SessionId slow = farm.Connect(4);
+  ASSERT_EQ(farm.workers[slow].leases.size(), 6u);
+  farm.Connect(1);
+  farm.now_ms += 240;
+  farm.Heartbeat(slow, 1);
+  farm.Post(TickEvent{});
+  EXPECT_EQ(Races(farm), 0);
+  farm.now_ms += 20;
+  farm.Post(TickEvent{});
+  EXPECT_EQ(Races(farm), 1);
 }
 
 // A worker of a fiftieth of the other's speed gets smaller ranges, and the film the same bits.
@@ -231,6 +285,7 @@ TEST(CoordinatorLeases, LookingMovesTheOrderAndNoBit) {
   EXPECT_TRUE(farm.Post(LookEvent{job, "", std::nullopt}).status.ok());
   EXPECT_FALSE(farm.Job(job).settings().has_look());
 }
+
 TEST(CoordinatorLeases, ABuildBeyondItsBudgetIsAnotherWorkers) {
   CoordinatorConfig config = SmallConfig();
   config.build_budget_ms = 10000;

@@ -188,5 +188,70 @@ TEST(CoordinatorRestore, AFilmStaysInMemoryUntilItsEndIsStored) {
   EXPECT_EQ(farm.coordinator.FilmOf(job), nullptr);
 }
 
+TEST(CoordinatorRestore, ARestartGoesOnFromTheCheckpoint) {
+  SimulatedFarm before;
+  const JobId job = before.Create(SmallSettings(21), "r1");
+  const SessionId worker = before.Connect();
+  for (int i = 0; i < 15; ++i) before.RenderOne(worker);
+  RestoreJobEvent event;
+  event.job = before.Job(job);
+  event.request_id = before.coordinator.RequestIdOf(job);
+  event.film = std::make_shared<Film>(*before.coordinator.FilmOf(job));
+
+  SimulatedFarm after;
+  EXPECT_TRUE(after.Post(std::move(event)).status.ok());
+  EXPECT_EQ(after.Create(SmallSettings(21), "r1"), job) << "request ids survive";
+  EXPECT_EQ(after.Job(job).progress().samples(), before.Job(job).progress().samples());
+  after.Connect();
+  after.RunAll();
+  EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(SmallSettings(21), 21));
+  EXPECT_EQ(after.Job(job).progress().samples(), 21 * 190);
+}
+
+// A restart at any moment of any history: what the checkpoint holds, nodes that wait for others
+// included, is neither lost nor asked for again without end.
+TEST(CoordinatorRestore, ARestartMayFallBetweenTwoPasses) {
+  for (int deltas = 1; deltas < 16; ++deltas) {
+    SimulatedFarm before;
+    const JobId job = before.Create(SmallSettings(21));
+    const SessionId stuck = before.Connect(1), worker = before.Connect(1);
+    ASSERT_FALSE(before.workers[stuck].leases.empty());
+    for (int i = 0; i < deltas; ++i) before.RenderOne(worker);
+    RestoreJobEvent event;
+    event.job = before.Job(job);
+    event.film = std::make_shared<Film>(*before.coordinator.FilmOf(job));
+
+    SimulatedFarm after;
+    EXPECT_TRUE(after.Post(std::move(event)).status.ok());
+    const SessionId next = after.Connect();
+    for (int i = 0; i < 200 && after.RenderOne(next); ++i) {
+    }
+    ASSERT_EQ(after.Job(job).state(), v1::JOB_STATE_DONE) << "after " << deltas << " deltas";
+    EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(SmallSettings(21), 21));
+  }
+}
+
+// Amid an epoch the film is ahead of what the decision to begin that epoch saw.
+TEST(CoordinatorRestore, ARestartAmidAnEpochDoesNotDecideAnew) {
+  v1::JobSettings settings = SmallSettings(1024);
+  settings.set_target_error(0.1);
+  settings.set_sampling(v1::SAMPLING_UNIFORM);
+  SimulatedFarm before;
+  const JobId job = before.Create(settings);
+  const SessionId worker = before.Connect();
+  while (before.Job(job).progress().samples() <= 8 * 190) ASSERT_TRUE(before.RenderOne(worker));
+  RestoreJobEvent event;
+  event.job = before.Job(job);
+  event.film = std::make_shared<Film>(*before.coordinator.FilmOf(job));
+
+  SimulatedFarm after;
+  after.estimated_error = 0.05;
+  EXPECT_TRUE(after.Post(std::move(event)).status.ok());
+  after.Connect();
+  after.RunAll();
+  EXPECT_EQ(after.Job(job).progress().committed_spp(), 12);
+  EXPECT_EQ(after.Job(job).digest(), ExpectedDigest(settings, 12));
+}
+
 }  // namespace
 }  // namespace tessera
