@@ -90,8 +90,10 @@ void AddSceneFlags(CLI::App* command, SceneFlags* flags) {
       "Samples per pixel (64; with --target-error or --max-time: as many as it takes)");
   add("Sampling", "--target-error", &flags->target_error,
       "Stop at this relative RMSE of the final picture, such as 0.02");
+  add("Sampling", "--target-tile-error", &flags->target_tile_error,
+      "Stop at this relative RMSE of every cell of 16x16 pixels and those around it");
   add("Sampling", "--sampling", &flags->sampling,
-      "adaptive: more where the picture needs it; or uniform (adaptive with --target-error)");
+      "adaptive: more where the picture needs it; or uniform (adaptive with a target error)");
   add("Sampling", "--max-time", &flags->max_time, "Stop after so many seconds");
   add("Sampling", "--max-depth", &flags->max_depth, "Bounces after the camera hit (8)");
   add("Sampling", "--feature-spp", &flags->feature_spp,

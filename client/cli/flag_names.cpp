@@ -24,6 +24,7 @@ std::string WithFlagNames(std::string text) {
                 {"settings.arithmetic", "--arithmetic"},
                 {"settings.transparent", "--transparent"},
                 {"settings.target_error", "--target-error"},
+                {"settings.target_tile_error", "--target-tile-error"},
                 {"settings.sampling", "--sampling"},
                 {"settings.max_time", "--max-time"},
                 {"settings.replay", "--replay"},

@@ -35,6 +35,7 @@ struct SceneFlags {
   std::string tile_size;
   std::string spp;
   std::string target_error;
+  std::string target_tile_error;
   std::string sampling;
   std::string max_time;
   std::string max_depth;

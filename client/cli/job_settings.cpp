@@ -134,6 +134,10 @@ void ReadFrame(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* set
   }
 }
 
+bool HasTarget(const v1::JobSettings& settings) {
+  return settings.target_error() > 0 || settings.target_tile_error() > 0;
+}
+
 absl::StatusOr<int64_t> ParseFeatureSpp(const std::string& flag, const std::string& text) {
   if (text == "all") return 0;
   const absl::StatusOr<int64_t> spp = ParseInteger(flag, text, 0, kFeatureSppMax);
@@ -150,6 +154,8 @@ void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* se
   reader->Integer("--spp", flags.spp, 1, kSppMax, [&](int64_t v) { settings->set_spp(v); });
   reader->Number("--target-error", flags.target_error, 1e-6, 1e3,
                  [&](double v) { settings->set_target_error(v); });
+  reader->Number("--target-tile-error", flags.target_tile_error, 1e-6, 1e3,
+                 [&](double v) { settings->set_target_tile_error(v); });
   reader->Number("--max-time", flags.max_time, 0.001, 1e9, [&](double v) {
     *settings->mutable_max_time() =
         TimeUtil::MicrosecondsToDuration(static_cast<int64_t>(v * 1e6));
@@ -162,7 +168,7 @@ void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* se
     reader->Fail(absl::StrCat("--sampling ", flags.sampling, ": must be adaptive or uniform"));
   }
   if (settings->spp() == 0) {
-    const bool open_ended = settings->target_error() > 0 || settings->has_max_time();
+    const bool open_ended = HasTarget(*settings) || settings->has_max_time();
     settings->set_spp(open_ended ? kSppOpenEnded : kSppDefault);
   }
   reader->Integer("--max-depth", flags.max_depth, 0, kMaxDepthMax,
@@ -213,10 +219,14 @@ void ReadServing(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* s
 // What of a film's budget goes on: a new goal replaces its goal, and how long the last render took
 // is not how long this one may, unless nothing else would ever end it.
 void TakeUpBudget(const SceneFlags& flags, v1::JobSettings* settings) {
-  if (!flags.target_error.empty()) settings->clear_spp();
-  if (!flags.target_error.empty() || !flags.spp.empty()) settings->clear_target_error();
-  if (settings->target_error() == 0 || !flags.sampling.empty()) settings->clear_sampling();
-  const bool open_ended = settings->spp() == kSppOpenEnded && settings->target_error() == 0;
+  const bool has_target = !flags.target_error.empty() || !flags.target_tile_error.empty();
+  if (has_target) settings->clear_spp();
+  if (has_target || !flags.spp.empty()) {
+    settings->clear_target_error();
+    settings->clear_target_tile_error();
+  }
+  if (!HasTarget(*settings) || !flags.sampling.empty()) settings->clear_sampling();
+  const bool open_ended = settings->spp() == kSppOpenEnded && !HasTarget(*settings);
   if (!open_ended || !flags.spp.empty()) settings->clear_max_time();
 }
 

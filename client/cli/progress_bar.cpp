@@ -93,7 +93,8 @@ std::string ProgressLine(const v1::Job& job, double seconds_left) {
       std::string(static_cast<size_t>(kBarCells - cells), '.'), static_cast<int>(fraction * 100),
       progress.spp());
   // A job that ends by time or error names no sample count worth showing.
-  const bool open_ended = job.settings().has_max_time() || job.settings().target_error() > 0;
+  const bool open_ended = job.settings().has_max_time() || job.settings().target_error() > 0 ||
+                          job.settings().target_tile_error() > 0;
   if (!open_ended) absl::StrAppend(&line, "/", job.settings().spp());
   absl::StrAppend(&line, " spp");
   if (progress.estimated_error() > 0) {

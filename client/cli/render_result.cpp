@@ -68,7 +68,9 @@ ordered_json ResultJson(const RenderResult& result) {
                      {"filter", result.seconds.filter},
                      {"total", result.seconds.total}};
   json["error"] = {{"rel_rmse", NumberOrNull(progress.estimated_error())},
-                   {"promised", NumberOrNull(job.settings().target_error())}};
+                   {"promised", NumberOrNull(job.settings().target_error())},
+                   {"worst_tile", NumberOrNull(progress.worst_tile_error())},
+                   {"promised_tile", NumberOrNull(job.settings().target_tile_error())}};
   json["stopped_by"] = StopWord(job.stop_reason());
   json["bytes"] = {{"assets", progress.asset_bytes()}, {"deltas", progress.delta_bytes()}};
   json["outputs"] = result.outputs;

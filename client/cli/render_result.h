@@ -47,7 +47,7 @@ struct RenderResult {
 // digest, width, height, spp, samples, rays, non_finite, seconds, error, stopped_by, bytes,
 // outputs.
 // error.rel_rmse is the server's estimate (null while unknown), error.promised the --target-error
-// (null without).
+// (null without); error.worst_tile and error.promised_tile are the same of --target-tile-error.
 nlohmann::ordered_json ResultJson(const RenderResult& result);
 std::string ResultLine(const RenderResult& result);
 

@@ -100,6 +100,7 @@ absl::Status SetReplay(const ReplayedPicture& picture, v1::JobSettings* settings
   }
   settings->set_spp(samples_max);
   settings->clear_target_error();
+  settings->clear_target_tile_error();
   settings->clear_sampling();
   settings->clear_max_time();
   std::vector<int64_t> counts;

@@ -80,6 +80,7 @@ absl::StatusOr<SceneSubmission> PrepareContinued(const SceneFlags& flags) {
 absl::StatusOr<SceneSubmission> PrepareReplay(const SceneFlags& flags) {
   for (const auto& [flag, value] :
        {std::pair{"--spp", &flags.spp}, std::pair{"--target-error", &flags.target_error},
+        std::pair{"--target-tile-error", &flags.target_tile_error},
         std::pair{"--max-time", &flags.max_time}, std::pair{"--continue", &flags.continue_film}}) {
     if (value->empty()) continue;
     return absl::InvalidArgumentError(absl::StrCat(

@@ -23,6 +23,7 @@
 #include "server/coordinator/effect.h"
 #include "server/coordinator/event.h"
 #include "server/coordinator/job_settings.h"
+#include "server/coordinator/sample_plan.h"
 #include "server/coordinator/tile_queue.h"
 #include "server/coordinator/totals.h"
 
@@ -205,7 +206,8 @@ class Coordinator {
   bool NextEpochFits(const Job& job) const;
   void NotePlanFloor(Job& job);
   void TakePlan(Job& job, std::vector<int64_t> plan);
-  std::vector<int64_t> NextPlan(const Job& job, const std::vector<double>& tile_errors) const;
+  void DecideNextPlan(Job& job, const PictureEvent& picture);
+  std::vector<CellState> CellsOf(const Job& job, const std::vector<double>& tile_errors) const;
   bool PlanFits(const Job& job, const std::vector<int64_t>& plan) const;
   void CheckTime(Job& job);
 

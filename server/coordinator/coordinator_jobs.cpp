@@ -182,7 +182,7 @@ void Coordinator::StartQueue(Job& job) {
 
 void Coordinator::MakeQueue(Job& job) {
   const v1::JobSettings& s = job.record.settings();
-  const bool may_stop_early = s.target_error() > 0 || s.has_max_time();
+  const bool may_stop_early = HasTargetError(s) || s.has_max_time();
   const SampleSchedule schedule(s.spp(), int64_t{s.tile_size()} * s.tile_size(), may_stop_early);
   // Thousands of jobs may wait for their turn: only one that has begun pays for its tiles.
   std::vector<int64_t> committed;

@@ -277,18 +277,11 @@ void Coordinator::On(PictureEvent& event) {
   }
   job->evaluating = false;
   const v1::JobSettings& settings = job->record.settings();
+  if (IsAdaptive(settings)) return DecideNextPlan(*job, event);
   if (event.estimated_error > 0 && event.estimated_error <= settings.target_error()) {
     return Finish(*job, v1::STOP_REASON_TARGET_ERROR);
   }
-  if (!IsAdaptive(settings)) {
-    return job->queue->SetGate(job->queue->schedule().EpochEnd(job->queue->committed_spp()));
-  }
-  std::vector<int64_t> plan = NextPlan(*job, event.tile_errors);
-  if (plan == job->plan) return Finish(*job, v1::STOP_REASON_SPP);
-  if (settings.has_max_time() && !PlanFits(*job, plan)) {
-    return Finish(*job, v1::STOP_REASON_MAX_TIME);
-  }
-  TakePlan(*job, std::move(plan));
+  job->queue->SetGate(job->queue->schedule().EpochEnd(job->queue->committed_spp()));
 }
 
 }  // namespace tessera

@@ -1,5 +1,6 @@
 // Jobs that sample adaptively: which tile's samples end where, epoch by epoch.
 #include <algorithm>
+#include <cmath>
 #include <utility>
 
 #include "server/coordinator/coordinator.h"
@@ -23,17 +24,35 @@ void Coordinator::NotePlanFloor(Job& job) {
   if (!job.plan.empty()) job.plan_floor = job.film->CommittedEnd();
 }
 
-// All tiles have the samples of the plan before.
-std::vector<int64_t> Coordinator::NextPlan(const Job& job,
-                                           const std::vector<double>& tile_errors) const {
+// All tiles have the samples of the plan before, and its picture is at the job's quality.
+void Coordinator::DecideNextPlan(Job& job, const PictureEvent& picture) {
+  const v1::JobSettings& settings = job.record.settings();
+  const std::vector<CellState> cells = CellsOf(job, picture.tile_errors);
+  const double worst = std::ranges::max(CellErrors(job.grid, cells));
+  job.record.mutable_progress()->set_worst_tile_error(std::isfinite(worst) ? worst : 0);
+  ErrorTargets left{.image = settings.target_error(), .cell = settings.target_tile_error()};
+  if (picture.estimated_error > 0 && picture.estimated_error <= left.image) left.image = 0;
+  if (worst <= left.cell) left.cell = 0;
+  if (HasTargetError(settings) && left.image == 0 && left.cell == 0) {
+    return Finish(job, v1::STOP_REASON_TARGET_ERROR);
+  }
+  std::vector<int64_t> plan = PlanSamples(job.grid, cells, left, settings.spp());
+  if (plan == job.plan) return Finish(job, v1::STOP_REASON_SPP);
+  if (settings.has_max_time() && !PlanFits(job, plan)) {
+    return Finish(job, v1::STOP_REASON_MAX_TIME);
+  }
+  TakePlan(job, std::move(plan));
+}
+
+std::vector<CellState> Coordinator::CellsOf(const Job& job,
+                                            const std::vector<double>& tile_errors) const {
   std::vector<CellState> cells(job.plan.size());
   for (size_t tile = 0; tile < cells.size(); ++tile) {
     cells[tile] = {.samples = job.plan[tile],
                    .rays = job.costs.empty() ? 0 : job.costs[tile].rays,
                    .error = tile_errors[tile]};
   }
-  const v1::JobSettings& settings = job.record.settings();
-  return PlanSamples(job.grid, cells, settings.target_error(), settings.spp());
+  return cells;
 }
 
 // Whether the plan is likely to end in time, at the speed so far.

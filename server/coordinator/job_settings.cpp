@@ -83,6 +83,10 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
     return Invalid("settings.target_error is ", s.target_error(),
                    ": give a positive number such as 0.02, or 0 for none");
   }
+  if (!std::isfinite(s.target_tile_error()) || s.target_tile_error() < 0) {
+    return Invalid("settings.target_tile_error is ", s.target_tile_error(),
+                   ": give a positive number such as 0.05, or 0 for none");
+  }
   if (s.has_max_time()) {
     const auto& t = s.max_time();
     if (t.seconds() < 0 || t.nanos() < 0 || t.nanos() > 999999999 ||
@@ -93,9 +97,13 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
   if (!v1::Sampling_IsValid(s.sampling())) {
     return Invalid("settings.sampling ", static_cast<int>(s.sampling()), " is unknown");
   }
-  if (IsAdaptive(s) && s.target_error() == 0 && !s.has_max_time()) {
-    return Invalid("settings.sampling is adaptive: give target_error or max_time with it, for a "
-                   "number of samples says nothing of when to stop");
+  if (IsAdaptive(s) && !HasTargetError(s) && !s.has_max_time()) {
+    return Invalid("settings.sampling is adaptive: give target_error, target_tile_error or "
+                   "max_time with it, for a number of samples says nothing of when to stop");
+  }
+  if (!IsAdaptive(s) && s.target_tile_error() > 0) {
+    return Invalid("settings.target_tile_error needs samples where cells need them: leave "
+                   "settings.sampling away or make it adaptive");
   }
   if (s.priority() < -kPriorityMax || s.priority() > kPriorityMax) {
     return Invalid("settings.priority is ", s.priority(), ": give -", kPriorityMax, " to ",
@@ -106,9 +114,9 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
 
 absl::Status CheckReplay(const v1::JobSettings& s) {
   if (!s.has_replay()) return absl::OkStatus();
-  if (s.target_error() > 0 || s.has_max_time()) {
-    return Invalid("settings.replay: cannot be combined with target_error or max_time: a replay "
-                   "has the samples of its picture, no more and no less");
+  if (HasTargetError(s) || s.has_max_time()) {
+    return Invalid("settings.replay: cannot be combined with target_error, target_tile_error or "
+                   "max_time: a replay has the samples of its picture, no more and no less");
   }
   const v1::SampleCounts& counts = s.replay().counts();
   if (counts.tile_size() != s.tile_size()) {
@@ -225,8 +233,8 @@ absl::StatusOr<v1::JobSettings> CompleteSettings(v1::JobSettings settings,
   }
   if (settings.isa().empty()) settings.set_isa(IsaClasses().front());
   if (settings.sampling() == v1::SAMPLING_UNSPECIFIED) {
-    settings.set_sampling(settings.target_error() > 0 ? v1::SAMPLING_ADAPTIVE
-                                                      : v1::SAMPLING_UNIFORM);
+    settings.set_sampling(HasTargetError(settings) ? v1::SAMPLING_ADAPTIVE
+                                                   : v1::SAMPLING_UNIFORM);
   }
   if (IsAdaptive(settings)) settings.set_tile_size(kCellSizePx);
   if (settings.tile_size() == 0) settings.set_tile_size(defaults.tile_size);
@@ -264,8 +272,12 @@ bool IsAdaptive(const v1::JobSettings& settings) {
   return settings.sampling() == v1::SAMPLING_ADAPTIVE;
 }
 
+bool HasTargetError(const v1::JobSettings& settings) {
+  return settings.target_error() > 0 || settings.target_tile_error() > 0;
+}
+
 bool DecidesByPicture(const v1::JobSettings& settings) {
-  return settings.target_error() > 0 || IsAdaptive(settings);
+  return HasTargetError(settings) || IsAdaptive(settings);
 }
 
 Film EmptyFilmOf(const v1::JobSettings& settings) {

@@ -32,6 +32,8 @@ absl::Status CheckRegion(const v1::JobSettings& settings, const v1::Region& regi
 
 // Whether the job's samples go where its picture needs them, with complete settings.
 bool IsAdaptive(const v1::JobSettings& settings);
+// Whether the job ends at some estimated error.
+bool HasTargetError(const v1::JobSettings& settings);
 // Whether what the job renders, or when it ends, rests on its picture.
 bool DecidesByPicture(const v1::JobSettings& settings);
 

@@ -4,6 +4,7 @@
 #include <bit>
 #include <cmath>
 #include <functional>
+#include <limits>
 
 #include "core/base/check.h"
 
@@ -55,38 +56,50 @@ struct Cell {
   double weight = 0;           // its samples are `scale` times this
 };
 
+// By cell: the sum of `values` over it and its neighbours.
+std::vector<double> SumAround(const TileGrid& grid, const std::vector<double>& values) {
+  std::vector<double> sums(values.size());
+  for (size_t i = 0; i < values.size(); ++i) {
+    const PixelRect window = grid.WindowOf(static_cast<int64_t>(i));
+    for (const int64_t other : grid.TilesIn(window.Expand(1).Intersect(grid.region()))) {
+      sums[i] += values[static_cast<size_t>(other)];
+    }
+  }
+  return sums;
+}
+
+std::vector<double> AreasOf(const TileGrid& grid) {
+  std::vector<double> areas(static_cast<size_t>(grid.num_tiles()));
+  for (size_t i = 0; i < areas.size(); ++i) {
+    areas[i] = static_cast<double>(grid.WindowOf(static_cast<int64_t>(i)).area());
+  }
+  return areas;
+}
+
 std::vector<Cell> Weigh(const TileGrid& grid, std::span<const CellState> states) {
-  std::vector<double> variance(states.size()), area(states.size());
+  const std::vector<double> area = AreasOf(grid);
+  std::vector<double> variance(states.size());
   for (size_t i = 0; i < states.size(); ++i) {
-    area[i] = static_cast<double>(grid.WindowOf(static_cast<int64_t>(i)).area());
     const auto samples = static_cast<double>(states[i].samples);
     variance[i] = std::isfinite(states[i].error) ? std::max(0.0, states[i].error) * samples
                                                  : area[i] * samples;
   }
+  const std::vector<double> variance_around = SumAround(grid, variance);
+  const std::vector<double> area_around = SumAround(grid, area);
   std::vector<Cell> cells(states.size());
   for (size_t i = 0; i < states.size(); ++i) {
-    double sum = 0, sum_area = 0;
-    const PixelRect window = grid.WindowOf(static_cast<int64_t>(i));
-    for (const int64_t other : grid.TilesIn(window.Expand(1).Intersect(grid.region()))) {
-      sum += variance[static_cast<size_t>(other)];
-      sum_area += area[static_cast<size_t>(other)];
-    }
     Cell& cell = cells[i];
     cell.samples = static_cast<double>(states[i].samples);
     cell.rays_per_sample =
         std::max(area[i], static_cast<double>(states[i].rays) / std::max(1.0, cell.samples));
-    cell.variance = sum / sum_area * area[i];
+    cell.variance = variance_around[i] / area_around[i] * area[i];
     cell.weight = std::sqrt(cell.variance / cell.rays_per_sample);
   }
   return cells;
 }
 
-}  // namespace
-
-std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState> states,
-                                 double target_error, int64_t spp_max) {
-  TESSERA_CHECK(std::ssize(states) == grid.num_tiles());
-  const std::vector<Cell> cells = Weigh(grid, states);
+// The multiple of the cells' weights that reaches the target, within the bounds of an epoch.
+double ScaleFor(std::span<const Cell> cells, double error_max, int64_t spp_max) {
   const auto at = [&](const Cell& cell, double scale) {
     return std::max(cell.samples, std::min(static_cast<double>(spp_max), scale * cell.weight));
   };
@@ -102,8 +115,6 @@ std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState
     for (const Cell& cell : cells) sum += at(cell, scale) * cell.rays_per_sample;
     return sum;
   };
-  const double error_max =
-      3 * target_error * target_error * static_cast<double>(grid.region().area());
   const auto misses_target = [&](double scale) {
     double sum = 0;
     for (const Cell& cell : cells) sum += cell.variance / std::max(1.0, at(cell, scale));
@@ -113,8 +124,15 @@ std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState
       Greatest(0, scale_max, [&](double s) { return costs(s) <= kGrowthMin * spent; });
   const double most =
       Greatest(0, scale_max, [&](double s) { return costs(s) <= kGrowthMax * spent; });
-  const double scale = std::clamp(Greatest(0, scale_max, misses_target), least, most);
+  return std::clamp(Greatest(0, scale_max, misses_target), least, most);
+}
 
+// For the error of the whole.
+std::vector<int64_t> PlanForImage(const TileGrid& grid, std::span<const CellState> states,
+                                  double target, int64_t spp_max) {
+  const std::vector<Cell> cells = Weigh(grid, states);
+  const double error_max = 3 * target * target * static_cast<double>(grid.region().area());
+  const double scale = ScaleFor(cells, error_max, spp_max);
   std::vector<int64_t> plan(states.size());
   bool grows = false;
   double ratio_max = 0;
@@ -131,6 +149,54 @@ std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState
     if (states[i].samples >= spp_max) continue;
     if (cells[i].weight / std::max(1.0, cells[i].samples) < 0.5 * ratio_max) continue;
     plan[i] = std::min(spp_max, StepAbove(states[i].samples));
+  }
+  return plan;
+}
+
+// For the error of each cell.
+std::vector<int64_t> PlanForCells(const TileGrid& grid, std::span<const CellState> states,
+                                  double target, int64_t spp_max) {
+  const std::vector<double> errors = CellErrors(grid, states);
+  std::vector<int64_t> plan(states.size());
+  for (size_t i = 0; i < states.size(); ++i) {
+    plan[i] = states[i].samples;
+    if (errors[i] <= target || plan[i] >= spp_max) continue;
+    const double growth = std::min(kGrowthMax, errors[i] / target * (errors[i] / target));
+    plan[i] = std::min(spp_max, std::max(StepAbove(plan[i]),
+                                         NearestStep(growth * static_cast<double>(plan[i]),
+                                                     spp_max)));
+  }
+  return plan;
+}
+
+}  // namespace
+
+std::vector<double> CellErrors(const TileGrid& grid, std::span<const CellState> cells) {
+  TESSERA_CHECK(std::ssize(cells) == grid.num_tiles());
+  std::vector<double> errors(cells.size());
+  for (size_t i = 0; i < cells.size(); ++i) {
+    errors[i] = std::isfinite(cells[i].error) ? cells[i].error
+                                              : std::numeric_limits<double>::infinity();
+  }
+  errors = SumAround(grid, errors);
+  const std::vector<double> area_around = SumAround(grid, AreasOf(grid));
+  for (size_t i = 0; i < cells.size(); ++i) {
+    errors[i] = std::sqrt(std::max(0.0, errors[i]) / (3 * area_around[i]));
+  }
+  return errors;
+}
+
+std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState> cells,
+                                 const ErrorTargets& targets, int64_t spp_max) {
+  TESSERA_CHECK(std::ssize(cells) == grid.num_tiles());
+  std::vector<int64_t> plan;
+  if (targets.image > 0 || targets.cell == 0) {
+    plan = PlanForImage(grid, cells, targets.image, spp_max);
+  }
+  if (targets.cell > 0) {
+    const std::vector<int64_t> of_cells = PlanForCells(grid, cells, targets.cell, spp_max);
+    if (plan.empty()) return of_cells;
+    for (size_t i = 0; i < plan.size(); ++i) plan[i] = std::max(plan[i], of_cells[i]);
   }
   return plan;
 }

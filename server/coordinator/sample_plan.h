@@ -24,15 +24,27 @@ struct CellState {
   double error = 0;
 };
 
+// What a job's error shall come down to; 0 = nothing is left to do for it, or it never was asked.
+struct ErrorTargets {
+  double image = 0;  // sqrt(relMSE) of the whole
+  double cell = 0;   // the same of each cell with its neighbours
+};
+
+// sqrt(relMSE) of each cell together with its neighbours, as estimated: one cell alone has too few
+// pixels to tell. +inf where unknown.
+std::vector<double> CellErrors(const TileGrid& grid, std::span<const CellState> cells);
+
 // How many samples each cell's pixels shall have at the end of the next epoch, by tile of `grid`,
 // of `cells`, from as many as they have to spp_max. The cells get so many that the estimated error
 // falls most for the rays (Neyman 1934; with costs Cochran 1977, Sampling Techniques, eq. 5.23:
 // n ~ sqrt(variance / cost)), taken from the error of a cell and its neighbours, among which the
 // filter spreads news and one pixel that stands out moves little. All together as many as reach
-// target_error (sqrt(relMSE) of the whole; 0 = none) if errors fell as 1/n, but at least a quarter
-// and at most as much again as the rays so far: a filtered error falls more slowly, and the next
-// epoch sees it. What `cells` have is returned only when none may have more.
+// targets.image if errors fell as 1/n, but at least a quarter and at most as much again as the rays
+// so far: a filtered error falls more slowly, and the next epoch sees it. Each cell that misses
+// targets.cell gets as many as would reach it, but at most as many again as it has; with that
+// target alone no other cell gets any. Without any target: as much again as the rays so far. What `cells`
+// have is returned only when none may have more.
 std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState> cells,
-                                 double target_error, int64_t spp_max);
+                                 const ErrorTargets& targets, int64_t spp_max);
 
 }  // namespace tessera

@@ -53,6 +53,7 @@ std::vector<std::string> FuzzSeeds() {
   v1::JobSettings full = SmallSettings(64);
   *full.mutable_region() = RegionProto({2, 3, 10, 9});
   full.set_target_error(0.02);
+  full.set_target_tile_error(0.05);
   full.mutable_max_time()->set_seconds(60);
   full.set_denoiser("none");
   full.set_quality(v1::QUALITY_PREVIEW);

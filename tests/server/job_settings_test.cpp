@@ -65,6 +65,12 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
       {"feature_spp", [](auto* s) { s->set_feature_spp(int64_t{1} << 40); }},
       {"target_error",
        [](auto* s) { s->set_target_error(std::numeric_limits<double>::quiet_NaN()); }},
+      {"target_tile_error", [](auto* s) { s->set_target_tile_error(-0.1); }},
+      {"target_tile_error",
+       [](auto* s) {
+         s->set_target_tile_error(0.1);
+         s->set_sampling(v1::SAMPLING_UNIFORM);
+       }},
       {"max_time", [](auto* s) { s->mutable_max_time()->set_seconds(-1); }},
       {"denoiser", [](auto* s) { s->set_denoiser("magic"); }},
       {"sampling", [](auto* s) { s->set_sampling(v1::SAMPLING_ADAPTIVE); }},

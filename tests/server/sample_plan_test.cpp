@@ -47,9 +47,9 @@ const std::vector<int64_t> kPilot(kCells, kPilotSpp);
 
 TEST(SamplePlan, EqualCellsGrowTogether) {
   const std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1.0), kPilot);
-  EXPECT_EQ(PlanSamples(kGrid, cells, 0.01, 1 << 20), std::vector<int64_t>(kCells, 16));
-  EXPECT_EQ(PlanSamples(kGrid, cells, 0.01, 12), std::vector<int64_t>(kCells, 12));
-  EXPECT_EQ(PlanSamples(kGrid, cells, 0.01, 8), kPilot);
+  EXPECT_EQ(PlanSamples(kGrid, cells, {.image = 0.01}, 1 << 20), std::vector<int64_t>(kCells, 16));
+  EXPECT_EQ(PlanSamples(kGrid, cells, {.image = 0.01}, 12), std::vector<int64_t>(kCells, 12));
+  EXPECT_EQ(PlanSamples(kGrid, cells, {.image = 0.01}, 8), kPilot);
 }
 
 TEST(SamplePlan, NeverTakesSamplesBack) {
@@ -59,7 +59,8 @@ TEST(SamplePlan, NeverTakesSamplesBack) {
     variances[i] = static_cast<double>(i * 37 % 11);
     samples[i] = static_cast<int64_t>(8 << i * 5 % 4);
   }
-  const std::vector<int64_t> plan = PlanSamples(kGrid, Cells(variances, samples), 0.001, 1 << 20);
+  const std::vector<int64_t> plan =
+      PlanSamples(kGrid, Cells(variances, samples), {.image = 0.001}, 1 << 20);
   for (size_t i = 0; i < kCells; ++i) EXPECT_GE(plan[i], samples[i]);
   EXPECT_NE(plan, samples);
 }
@@ -68,7 +69,7 @@ TEST(SamplePlan, AtMostAboutTwiceTheRays) {
   std::vector<double> variances(kCells, 1.0);
   std::fill(variances.begin(), variances.begin() + 40, 100.0);
   std::vector<CellState> cells = Cells(variances, kPilot);
-  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, 1e-6, 1 << 20);
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, {.image = 1e-6}, 1 << 20);
   // Steps are a factor of 4/3 or 3/2 apart.
   EXPECT_LE(RaysOf(Cells(variances, plan)), 2 * 1.25 * RaysOf(cells));
   EXPECT_GE(RaysOf(Cells(variances, plan)), 2 / 1.25 * RaysOf(cells));
@@ -86,7 +87,7 @@ TEST(SamplePlan, ConvergesToNeymansAllocation) {
   int epochs = 0;
   while (ErrorOf(Cells(variances, samples)) > target) {
     ASSERT_LT(++epochs, 20);
-    samples = PlanSamples(kGrid, Cells(variances, samples), target, 1 << 20);
+    samples = PlanSamples(kGrid, Cells(variances, samples), {.image = target}, 1 << 20);
   }
   const double ratio = static_cast<double>(samples[0]) / static_cast<double>(samples[19]);
   EXPECT_GE(ratio, 16 / 1.5);
@@ -102,21 +103,68 @@ TEST(SamplePlan, DearCellsGetFewer) {
   for (size_t i = 0; i < kCells; ++i) {
     if (i % kColumns < 5) cells[i].rays *= 100;
   }
-  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, 1e-3, 1 << 20);
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, {.image = 1e-3}, 1 << 20);
   EXPECT_GT(plan[19], plan[0]);
 }
 
 TEST(SamplePlan, WhatIsUnknownGetsSamplesToo) {
   std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1e-6), kPilot);
   cells[10].error = std::numeric_limits<double>::infinity();
-  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, 1e-3, 1 << 20);
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, {.image = 1e-3}, 1 << 20);
   EXPECT_GT(plan[10], plan[79]);
+}
+
+// One column of the grid is hard: it and its neighbours' column miss the target, nobody else gets
+// a sample for it, and each of them reaches it.
+TEST(SamplePlan, EachCellReachesItsOwnTarget) {
+  std::vector<double> variances(kCells, 1.0);
+  for (size_t i = 0; i < kCells; i += kColumns) variances[i] = 100;
+  const double target = 0.6;
+  std::vector<int64_t> samples = kPilot;
+  const auto errors = [&] { return CellErrors(kGrid, Cells(variances, samples)); };
+  EXPECT_NEAR(errors()[0], std::sqrt((100 + 1) / 2.0 / kPilotSpp), 1e-9);
+  EXPECT_NEAR(errors()[10], std::sqrt(1.0 / kPilotSpp), 1e-9);
+  for (int epochs = 0; std::ranges::max(errors()) > target; ++epochs) {
+    ASSERT_LT(epochs, 20);
+    const std::vector<int64_t> plan =
+        PlanSamples(kGrid, Cells(variances, samples), {.cell = target}, 1 << 20);
+    for (size_t i = 0; i < kCells; ++i) {
+      EXPECT_LE(plan[i], 2.5 * static_cast<double>(samples[i]));
+      EXPECT_EQ(plan[i] > samples[i], errors()[i] > target) << i;
+    }
+    samples = plan;
+  }
+  EXPECT_GT(samples[0], 16 * kPilotSpp);
+  EXPECT_EQ(samples[10], kPilotSpp);
+}
+
+TEST(SamplePlan, BothTargetsTogetherGetWhatEitherWants) {
+  std::vector<double> variances(kCells, 1.0);
+  variances[45] = 1000;
+  const std::vector<CellState> cells = Cells(variances, kPilot);
+  const auto plan = [&](const ErrorTargets& targets) {
+    return PlanSamples(kGrid, cells, targets, 1 << 20);
+  };
+  const std::vector<int64_t> image = plan({.image = 0.3}), cell = plan({.cell = 0.5});
+  const std::vector<int64_t> both = plan({.image = 0.3, .cell = 0.5});
+  EXPECT_NE(image, cell);
+  for (size_t i = 0; i < kCells; ++i) EXPECT_EQ(both[i], std::max(image[i], cell[i]));
+}
+
+TEST(SamplePlan, ACellOfUnknownErrorMissesItsTarget) {
+  std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1e-9), kPilot);
+  cells[45].error = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_TRUE(std::isinf(CellErrors(kGrid, cells)[45]));
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, {.cell = 0.5}, 1 << 20);
+  EXPECT_EQ(plan[45], 2 * kPilotSpp);
+  EXPECT_EQ(plan[48], kPilotSpp);
+  EXPECT_EQ(PlanSamples(kGrid, cells, {.cell = 0.5}, kPilotSpp), kPilot) << "nobody may have more";
 }
 
 // Estimates may say that nothing is left, or less than nothing, while the target is missed.
 TEST(SamplePlan, GoesOnWithoutAnyError) {
   const std::vector<CellState> cells = Cells(std::vector<double>(kCells, -1.0), kPilot);
-  EXPECT_NE(PlanSamples(kGrid, cells, 1e-3, 1 << 20), kPilot);
+  EXPECT_NE(PlanSamples(kGrid, cells, {.image = 1e-3}, 1 << 20), kPilot);
 }
 
 }  // namespace

@@ -138,9 +138,9 @@ class SimulatedFarm {
     event.delta.set_rays(5);
     event.wire_bytes = 100;
     const v1::JobSettings& spec = workers[session].specs[lease.job()];
-    event.tile =
-        SyntheticTile(spec.seed(), RectOf(lease.window()),
-                      {lease.sample_begin(), lease.sample_end()}, FeatureEndOf(spec.feature_spp()));
+    event.tile = render_tile(spec.seed(), RectOf(lease.window()),
+                             {lease.sample_begin(), lease.sample_end()},
+                             FeatureEndOf(spec.feature_spp()));
     return event;
   }
   // The worker finishes its oldest lease. Returns false if it has none.
@@ -174,6 +174,10 @@ class SimulatedFarm {
   std::function<std::vector<double>(const Film&)> tile_errors = [](const Film& film) {
     return std::vector<double>(static_cast<size_t>(film.grid().num_tiles()), 1.0);
   };
+  // What the workers render.
+  std::function<TileStatistics(uint64_t seed, const PixelRect& window, SampleRange range,
+                               int64_t feature_end)>
+      render_tile = SyntheticTile;
   std::vector<JobId> removed, saved;
   std::vector<std::string> bans;
   std::vector<FilterAnswerEffect> filter_answers;

@@ -27,19 +27,22 @@ std::vector<int64_t> TargetCounts(const v1::JobSettings& s, const TileGrid& grid
   std::vector<int64_t> counts(static_cast<size_t>(grid.num_tiles()), std::min(kPilotSpp, s.spp()));
   while (true) {
     const std::vector<double> errors = SimTileErrors(grid, counts);
-    if (SimError(grid, errors) <= s.target_error()) return counts;
+    std::vector<CellState> cells;
+    for (size_t tile = 0; tile < counts.size(); ++tile) {
+      const int64_t area = grid.WindowOf(static_cast<int64_t>(tile)).area();
+      cells.push_back({counts[tile], counts[tile] * area, errors[tile]});
+    }
+    ErrorTargets left{.image = s.target_error(), .cell = s.target_tile_error()};
+    if (SimError(grid, errors) <= left.image) left.image = 0;
+    if (std::ranges::max(CellErrors(grid, cells)) <= left.cell) left.cell = 0;
+    if (left.image == 0 && left.cell == 0) return counts;
     std::vector<int64_t> next(counts.size());
     if (IsAdaptive(s)) {
-      std::vector<CellState> cells;
-      for (size_t tile = 0; tile < counts.size(); ++tile) {
-        const int64_t area = grid.WindowOf(static_cast<int64_t>(tile)).area();
-        cells.push_back({counts[tile], counts[tile] * area, errors[tile]});
-      }
-      next = PlanSamples(grid, cells, s.target_error(), s.spp());
+      next = PlanSamples(grid, cells, left, s.spp());
     } else if (counts[0] < s.spp()) {
       std::ranges::fill(next, schedule.EpochEnd(counts[0]));
     }
-    if (next == counts || counts[0] >= s.spp()) return counts;
+    if (next == counts || (!IsAdaptive(s) && counts[0] >= s.spp())) return counts;
     counts = std::move(next);
   }
 }
@@ -213,7 +216,7 @@ void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
       const bool by_time = record.stop_reason() == v1::STOP_REASON_MAX_TIME;
       if (by_time && IsAdaptive(s)) break;  // anywhere: the digest is that of its counts
       const int64_t spp = by_time ? record.progress().committed_spp() : s.spp();
-      const std::vector<int64_t> expected = s.target_error() > 0
+      const std::vector<int64_t> expected = HasTargetError(s)
                                                 ? TargetCounts(s, grid)
                                                 : std::vector<int64_t>(counts.size(), spp);
       if (counts != expected) {

@@ -42,6 +42,7 @@ JobPlan MakeJob(SimRandom& random, int64_t create_us_max) {
   if (random.Chance(0.2)) {
     s.set_target_error(0.05 + 0.2 * random.Uniform());
     s.set_sampling(s.seed() % 3 == 0 ? v1::SAMPLING_UNIFORM : v1::SAMPLING_ADAPTIVE);
+    if (s.seed() % 3 == 1) s.set_target_tile_error(2 * s.target_error());
   } else if (random.Chance(0.1)) {
     s.mutable_max_time()->set_seconds(random.Between(1, 10));
     if (s.seed() % 2 == 0) s.set_sampling(v1::SAMPLING_ADAPTIVE);

@@ -71,6 +71,7 @@ TEST(HungRender, IsLeasedAgainWithinThreeSeconds) {
   settings.set_seed(1);
   settings.set_spp(64);
   settings.clear_target_error();
+  settings.clear_target_tile_error();
   settings.clear_max_time();
   plan.faults_end_us = 10 * kSecond;
   plan.faults.push_back({FaultKind::kRenderHangs, 0, 3600 * kSecond, 0});

@@ -207,6 +207,19 @@ TEST(Continue, AFilmWithoutACountGoesOnToItsOwnGoal) {
   }
 }
 
+TEST(Continue, ATargetOfTilesReplacesTheFilmsGoal) {
+  SceneFlags flags;
+  flags.target_error = "0.02";
+  const v1::JobSettings film = *SettingsFromFlags(flags, nullptr);
+  flags.target_error.clear();
+  flags.target_tile_error = "0.05";
+  const v1::JobSettings job = *SettingsFromFlags(flags, &film);
+  EXPECT_EQ(job.spp(), kSppOpenEnded);
+  EXPECT_EQ(job.target_error(), 0);
+  EXPECT_EQ(job.target_tile_error(), 0.05);
+  EXPECT_EQ(SettingsFromFlags({}, &job)->target_tile_error(), 0.05);
+}
+
 TEST(Continue, ATargetErrorReplacesTheFilmsCount) {
   SceneFlags flags;
   flags.target_error = "0.02";

@@ -47,6 +47,8 @@ TEST(ResultJson, HasExactlyTheStableFields) {
   result.job.set_digest("\x01\xff");
   result.job.set_stop_reason(v1::STOP_REASON_TARGET_ERROR);
   result.job.mutable_settings()->set_target_error(0.5);
+  result.job.mutable_settings()->set_target_tile_error(0.75);
+  result.job.mutable_progress()->set_worst_tile_error(0.625);
   result.outputs = {"a.exr"};
   const nlohmann::ordered_json json = ResultJson(result);
   std::vector<std::string> keys;
@@ -56,6 +58,8 @@ TEST(ResultJson, HasExactlyTheStableFields) {
   EXPECT_EQ(json["digest"], "01ff");
   EXPECT_EQ(json["stopped_by"], "target_error");
   EXPECT_TRUE(json["error"]["rel_rmse"].is_null());  // unknown
+  EXPECT_EQ(json["error"]["worst_tile"], 0.625);
+  EXPECT_EQ(json["error"]["promised_tile"], 0.75);
   EXPECT_EQ(json["error"]["promised"], 0.5);
   EXPECT_TRUE(json["seconds"].contains("filter"));
   EXPECT_TRUE(json["bytes"].contains("deltas"));
