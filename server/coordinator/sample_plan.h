@@ -36,14 +36,14 @@ std::vector<double> CellErrors(const TileGrid& grid, std::span<const CellState> 
 
 // How many samples each cell's pixels shall have at the end of the next epoch, by tile of `grid`,
 // of `cells`, from as many as they have to spp_max. The cells get so many that the estimated error
-// falls most for the rays (Neyman 1934; with costs Cochran 1977, Sampling Techniques, eq. 5.23:
-// n ~ sqrt(variance / cost)), taken from the error of a cell and its neighbours, among which the
-// filter spreads news and one pixel that stands out moves little. All together as many as reach
+// falls most for the rays (Neyman 1934; with costs Cochran 1977, Sampling Techniques, eq. 5.23: n ~
+// sqrt(variance / cost)), taken from the error of a cell and its neighbours, among which the filter
+// spreads news and one pixel that stands out moves little. All together as many as reach
 // targets.image if errors fell as 1/n, but at least a quarter and at most as much again as the rays
 // so far: a filtered error falls more slowly, and the next epoch sees it. Each cell that misses
 // targets.cell gets as many as would reach it, but at most as many again as it has; with that
-// target alone no other cell gets any. Without any target: as much again as the rays so far. What `cells`
-// have is returned only when none may have more.
+// target alone no other cell gets any. Without any target: as much again as the rays so far. What
+// `cells` have is returned only when none may have more.
 std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState> cells,
                                  const ErrorTargets& targets, int64_t spp_max);
 
