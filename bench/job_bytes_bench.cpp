@@ -180,7 +180,9 @@ int main(int argc, char** argv) {
     return 2;
   }
   std::printf("| scene | samples |");
-  for (const tessera::Quantity& quantity : tessera::kQuantities) std::printf(" %s |", quantity.name);
+  for (const tessera::Quantity& quantity : tessera::kQuantities) {
+    std::printf(" %s |", quantity.name);
+  }
   std::printf(" hits and ids | all | all planes always |\n");
   double log_sum = 0;
   for (size_t i = 0; i < options.scenes.size(); ++i) {
