@@ -1,6 +1,9 @@
 #include "client/cli/outputs.h"
 
+#include <unistd.h>
+
 #include <algorithm>
+#include <cstdlib>
 #include <filesystem>
 #include <set>
 #include <utility>
@@ -168,6 +171,27 @@ absl::Status FetchAndWriteFilm(FarmClient& client, const v1::Job& job, const std
   plan.layers = AllLayers();
   plan.film = true;
   return FetchAndWrite(client, job, plan, PixelRect(), /*wait_for_filter=*/true).status();
+}
+
+absl::StatusOr<std::string> RescueFilm(FarmClient& client, const v1::Job& job,
+                                       const OutputPlan& plan) {
+  const std::filesystem::path name = std::filesystem::path(FilmPathBeside(plan)).filename();
+  std::vector<std::filesystem::path> folders;
+  std::error_code unknown;
+  folders.push_back(std::filesystem::temp_directory_path(unknown));
+  if (const char* home = std::getenv("HOME"); home != nullptr) folders.emplace_back(home);
+  folders.push_back(std::filesystem::current_path(unknown));
+  absl::Status first = absl::NotFoundError("there is none: set TMPDIR or HOME");
+  for (const std::filesystem::path& folder : folders) {
+    if (folder.empty()) continue;
+    // Of this run alone: a rescued film never replaces another.
+    std::filesystem::path path = folder / name;
+    path.replace_extension(absl::StrCat(".", getpid(), ".exr"));
+    const absl::Status written = FetchAndWriteFilm(client, job, path.string());
+    if (written.ok()) return path.string();
+    if (absl::IsNotFound(first)) first = written;
+  }
+  return first;
 }
 
 Metadata JobMetadata(const v1::Job& job, double spp) {

@@ -47,6 +47,11 @@ absl::StatusOr<std::vector<std::string>> FetchAndWrite(FarmClient& client, const
 
 // Writes the film of a job with all layers to `path`.
 absl::Status FetchAndWriteFilm(FarmClient& client, const v1::Job& job, const std::string& path);
+// The same where a picture could not be written: into the folder for temporary files, else the home
+// or the current folder, under the output's name and the process's number. Returns the path.
+// Errors: those of the first folder that was tried.
+absl::StatusOr<std::string> RescueFilm(FarmClient& client, const v1::Job& job,
+                                       const OutputPlan& plan);
 
 // Seed, spp, digest, version, camera, and the settings as JSON: what goes into files.
 Metadata JobMetadata(const v1::Job& job, double spp);

@@ -162,16 +162,28 @@ class RenderCommand {
     absl::StatusOr<std::vector<std::string>> paths =
         FetchAndWrite(*client_, job, plan_, PixelRect(), /*wait_for_filter=*/true);
     progress_.Clear();
-    if (!paths.ok()) return WithFetchRemedy(paths.status());
+    if (!paths.ok()) return WithRemedy(job, paths.status());
     Report(job, *std::move(paths));
     return CheckReplayed(job);
   }
 
-  // A server still has the picture that could not be written.
-  absl::Status WithFetchRemedy(const absl::Status& status) const {
-    if (farm_ != nullptr) return status;
-    return absl::Status(status.code(), absl::StrCat(status.message(), "; ", FetchCommand(),
-                                                    " gets the picture"));
+  // Nothing is lost with a picture that could not be written: a server still has it; the samples of
+  // this process go where there is room.
+  absl::Status WithRemedy(const v1::Job& job, const absl::Status& status) {
+    if (farm_ == nullptr) {
+      return absl::Status(status.code(), absl::StrCat(status.message(), "; ", FetchCommand(),
+                                                      " gets the picture"));
+    }
+    const absl::StatusOr<std::string> film = RescueFilm(*client_, job, plan_);
+    if (!film.ok()) {
+      return absl::Status(status.code(),
+                          absl::StrCat(status.message(), "; no other folder takes its samples: ",
+                                       film.status().message()));
+    }
+    return absl::Status(status.code(),
+                        absl::StrCat(status.message(), "; its samples are in ", *film,
+                                     ": 'tessera denoise ", *film,
+                                     " -o OUT' makes the picture, --continue goes on from it"));
   }
   std::string FetchCommand() const {
     return absl::StrCat("'tessera fetch ", name_, " -o OUT --server ", flags_.connect.server, "'");
@@ -213,7 +225,7 @@ class RenderCommand {
     clock_.OnChange(job, std::chrono::steady_clock::now());
     absl::StatusOr<std::vector<std::string>> paths =
         FetchAndWrite(*client_, job, plan_, PixelRect(), /*wait_for_filter=*/true);
-    if (!paths.ok()) return WithFetchRemedy(paths.status());
+    if (!paths.ok()) return WithRemedy(job, paths.status());
     std::string remedy = absl::StrCat(FetchCommand(), " gets it again");
     if (farm_ != nullptr) {
       std::string film = plan_.film && plan_.HasExr() ? std::string() : FilmPathBeside(plan_);
@@ -223,7 +235,7 @@ class RenderCommand {
         }
       } else {
         const absl::Status written = FetchAndWriteFilm(*client_, job, film);
-        if (!written.ok()) return written;
+        if (!written.ok()) return WithRemedy(job, written);
         paths->push_back(film);
       }
       remedy = absl::StrCat("--continue ", film, " goes on from here");

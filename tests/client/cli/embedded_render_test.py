@@ -209,6 +209,35 @@ class Interrupt(CommandLineCase):
         self.assertIn("--continue a.exr", stderr)
 
 
+class FullDisk(CommandLineCase):
+    def render_to_small_disk(self, *flags):
+        """Runs tessera render -o small/a.exr, small a file system of 16 KiB; needs root."""
+        small, spare = self.folder / "small", self.folder / "spare"
+        small.mkdir()
+        spare.mkdir()
+        in_small = ["unshare", "--mount", "sh", "-c",
+                    "mount -t tmpfs -o size=16k none small && exec \"$@\"", "sh"]
+        if subprocess.run([*in_small, "true"], cwd=self.folder, stderr=subprocess.DEVNULL,
+                          check=False).returncode != 0:
+            self.skipTest("cannot mount a file system")
+        return subprocess.run([*in_small, TESSERA, "render", "triangle.glb", "-o", "small/a.exr",
+                               "--size", "128x128", "--spp", "4", *flags], cwd=self.folder,
+                              env={**os.environ, "TMPDIR": str(spare)}, capture_output=True,
+                              text=True, timeout=TIMEOUT_SECONDS, check=False)
+
+    def test_samples_are_kept_where_there_is_room(self):
+        run = self.render_to_small_disk()
+        self.assertNotEqual(run.returncode, 0)
+        (film,) = (self.folder / "spare").glob("a.film.*.exr")
+        self.assertIn("small/a.exr", run.stderr)
+        self.assertIn(f"tessera denoise {film}", run.stderr)
+        more = self.expect_json("render", "triangle.glb", "--continue", str(film), "-o", "more.png",
+                                "--spp", "8")
+        straight = self.expect_json("render", "triangle.glb", "--size", "128x128", "-o",
+                                    "straight.png", "--spp", "8")
+        self.assertEqual(more["digest"], straight["digest"])
+
+
 class Info(CommandLineCase):
     def test_describes_the_scene(self):
         info = self.expect_json("info", "triangle.glb")
