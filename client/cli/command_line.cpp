@@ -95,7 +95,8 @@ void AddSceneFlags(CLI::App* command, SceneFlags* flags) {
   add("Sampling", "--sampling", &flags->sampling,
       "adaptive: more where the picture needs it; or uniform (adaptive with a target error)");
   add("Sampling", "--max-time", &flags->max_time, "Stop after so many seconds");
-  add("Sampling", "--max-depth", &flags->max_depth, "Bounces after the camera hit (8)");
+  add("Sampling", "--max-depth", &flags->max_depth,
+      "Bounces after the camera hit (8); auto: as many as the picture's error needs");
   add("Sampling", "--feature-spp", &flags->feature_spp,
       "Samples of a pixel that carry albedo, normal, depth and id; all or 0 = every one (64)");
   add("Sampling", "--seed", &flags->seed, "Another seed, another noise (0)");

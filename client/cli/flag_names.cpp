@@ -18,6 +18,7 @@ std::string WithFlagNames(std::string text) {
                 {"settings.tile_size", "--tile-size"},
                 {"settings.spp", "--spp"},
                 {"settings.max_depth", "--max-depth"},
+                {"settings.auto_depth", "--max-depth auto"},
                 {"settings.feature_spp", "--feature-spp"},
                 {"settings.seed", "--seed"},
                 {"settings.isa", "--isa"},

@@ -150,6 +150,12 @@ absl::StatusOr<int64_t> ParseFeatureSpp(const std::string& flag, const std::stri
                                ": must be a power of two such as 64, or all for every sample"));
 }
 
+absl::StatusOr<int64_t> ParseMaxDepth(const std::string& flag, const std::string& text) {
+  const absl::StatusOr<int64_t> depth = ParseInteger(flag, text, 0, kMaxDepthMax);
+  if (depth.ok()) return depth;
+  return Conflict(absl::StrCat(depth.status().message(), ", or auto"));
+}
+
 void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* settings) {
   reader->Integer("--spp", flags.spp, 1, kSppMax, [&](int64_t v) { settings->set_spp(v); });
   reader->Number("--target-error", flags.target_error, 1e-6, 1e3,
@@ -171,8 +177,13 @@ void ReadBudget(const SceneFlags& flags, FlagReader* reader, v1::JobSettings* se
     const bool open_ended = HasTarget(*settings) || settings->has_max_time();
     settings->set_spp(open_ended ? kSppOpenEnded : kSppDefault);
   }
-  reader->Integer("--max-depth", flags.max_depth, 0, kMaxDepthMax,
-                  [&](int64_t v) { settings->set_max_depth(static_cast<int>(v)); });
+  if (flags.max_depth == "auto") {
+    settings->clear_max_depth();
+    settings->set_auto_depth(true);
+  } else {
+    reader->Read("--max-depth", flags.max_depth, ParseMaxDepth,
+                 [&](int64_t v) { settings->set_max_depth(static_cast<int>(v)); });
+  }
   reader->Read("--feature-spp", flags.feature_spp, ParseFeatureSpp,
                [&](int64_t v) { settings->set_feature_spp(v); });
   reader->Read("--seed", flags.seed, ParseUnsigned, [&](uint64_t v) { settings->set_seed(v); });
@@ -314,7 +325,7 @@ absl::Status CheckContinues(const std::string& flag, const v1::JobSettings& film
   if (!MessageDifferencer::Equivalent(film.region(), job.region())) {
     differences.push_back("--region");
   }
-  if (film.max_depth() != job.max_depth()) {
+  if (film.max_depth() != job.max_depth() || film.auto_depth() != job.auto_depth()) {
     differences.push_back(absl::StrCat("--max-depth (the film's is ", film.max_depth(), ")"));
   }
   if (film.seed() != job.seed()) {

@@ -41,6 +41,12 @@ std::string ArithmeticText(const v1::Worker& worker) {
   return text;
 }
 
+std::string DepthText(const v1::Job& job) {
+  if (!job.settings().auto_depth()) return absl::StrCat(job.settings().max_depth());
+  return job.has_max_depth() ? absl::StrCat(job.max_depth(), " (found by a pilot)")
+                             : "auto, not found yet";
+}
+
 int Percent(const v1::JobProgress& progress) {
   if (progress.samples_total() <= 0) return 0;
   return static_cast<int>(100.0 * static_cast<double>(progress.samples()) /
@@ -80,6 +86,8 @@ ordered_json JobJson(const v1::Job& job) {
   json["rel_rmse"] = progress.estimated_error();
   json["workers"] = progress.workers();
   json["priority"] = job.settings().priority();
+  json["max_depth"] = job.has_max_depth() ? ordered_json(job.max_depth()) : ordered_json(nullptr);
+  json["auto_depth"] = job.settings().auto_depth();
   json["isa"] = job.settings().isa();
   json["arithmetic"] = job.arithmetic();
   json["digest"] = DigestText(job);
@@ -172,6 +180,7 @@ std::string JobDetails(const v1::Job& job) {
   add("created", TimeText(job.has_create_time(), job.create_time()));
   add("started", TimeText(job.has_start_time(), job.start_time()));
   add("ended", TimeText(job.has_end_time(), job.end_time()));
+  add("max depth", DepthText(job));
   add("isa", job.settings().isa());
   add("arithmetic", job.arithmetic());
   add("digest", DigestText(job));

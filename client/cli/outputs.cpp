@@ -49,6 +49,10 @@ absl::Status CheckWritable(const std::string& path) {
 std::string SettingsJson(const v1::Job& job) {
   v1::JobSettings settings = job.settings();
   settings.set_arithmetic(job.arithmetic());
+  if (settings.auto_depth()) {
+    settings.clear_auto_depth();
+    settings.set_max_depth(job.max_depth());
+  }
   std::string json;
   TESSERA_CHECK(google::protobuf::util::MessageToJsonString(settings, &json).ok());
   return json;

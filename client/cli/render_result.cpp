@@ -63,6 +63,7 @@ ordered_json ResultJson(const RenderResult& result) {
   json["samples"] = progress.samples();
   json["rays"] = progress.rays();
   json["non_finite"] = progress.non_finite();
+  json["max_depth"] = job.has_max_depth() ? ordered_json(job.max_depth()) : ordered_json(nullptr);
   json["seconds"] = {{"load", result.seconds.load},
                      {"render", result.seconds.render},
                      {"filter", result.seconds.filter},

@@ -434,10 +434,10 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
 }
 
 uint64_t DeltaChecksum(const DeltaKey& key, std::string_view payload) {
-  const std::array<int64_t, 10> numbers = {
+  const std::array<int64_t, 11> numbers = {
       static_cast<int64_t>(key.lease_id), key.tile_index,   key.window.x_begin, key.window.y_begin,
       key.window.x_end,                   key.window.y_end, key.range.begin,    key.range.end,
-      key.feature_end,                    key.rays};
+      key.feature_end,                    key.rays,         key.max_depth};
   std::string bytes(reinterpret_cast<const char*>(numbers.data()), sizeof(numbers));
   bytes += key.job;
   bytes += payload.substr(payload.size() - std::min(payload.size(), kChecksumBytes));

@@ -41,6 +41,7 @@ struct DeltaKey {
   SampleRange range;
   int64_t feature_end = 0;
   int64_t rays = 0;
+  int64_t max_depth = 0;
 };
 // Binds a payload to its key, so that a damaged key cannot pass it off as other samples: XXH64,
 // seed 0, of the key's numbers (8 bytes each, little-endian, in the order above; the window as

@@ -215,6 +215,8 @@ class Coordinator {
   bool IsAudited(const Job& job, const Unit& unit) const;
   absl::Status Hear(Job& job, const Unit& unit, const std::string& host, const DeltaEvent& event,
                     std::vector<std::string>* liars);
+  absl::Status HearDepth(Worker& worker, Job& job, const DeltaEvent& event);
+  void StartOverAt(Job& job, int max_depth);
   void Ban(const std::string& host, const std::string& reason);
   void ResetTouched(Job& job, const std::string& host);
   void OnCrash(const std::string& host, const v1::CrashReport& report);
@@ -225,6 +227,8 @@ class Coordinator {
   void RestoreSuspects(Job& job, const v1::Suspects& suspects);
   void RestoreContributions(Job& job, const v1::Contributions& contributions);
   bool DropTouched(Job& job, const std::string& host);
+  void DropTiles(Job& job, const std::set<int64_t>& tiles);
+  void RenderAgain(Job& job);
   bool WasSuspect(Job& job, const Unit& unit);
   Worker* WorkerForSuspect(const Job& job, const std::set<std::string>& crash_hosts,
                            const std::set<std::string>& heard_hosts);

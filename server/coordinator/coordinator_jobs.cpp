@@ -101,6 +101,7 @@ void Coordinator::On(CreateJobEvent& event) {
   *job->record.mutable_settings() = *std::move(settings);
   SetTime(now_.unix_ms, job->record.mutable_create_time());
   const v1::JobSettings& s = job->record.settings();
+  if (!s.auto_depth()) job->record.set_max_depth(s.max_depth());
   job->grid = TileGrid(RegionOf(s), s.tile_size());
   job->film = event.film ? std::move(event.film) : std::make_shared<Film>(EmptyFilmOf(s));
   if (FilmBytesOf(job->grid) > config_.film_bytes_max) {

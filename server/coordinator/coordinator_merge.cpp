@@ -47,6 +47,11 @@ absl::Status Coordinator::CheckDelta(const Job& job, const DeltaEvent& event) co
         absl::StrCat("delta of ", delta.job(), ": features end at sample ",
                      event.tile.feature_end(), ", the job's at ", job.film->feature_end()));
   }
+  if (job.record.settings().auto_depth() &&
+      (delta.max_depth() < 0 || delta.max_depth() > kMaxDepthMax)) {
+    return absl::InvalidArgumentError(absl::StrCat("delta of ", delta.job(), ": max_depth is ",
+                                                   delta.max_depth(), ", which no pilot finds"));
+  }
   const Unit unit{delta.tile_index(), event.tile.range()};
   const int64_t samples = unit.range.size() * event.tile.num_pixels();
   if (!unit.range.IsNode() || delta.rays() < 0 || delta.rays() / kRaysPerSampleMax > samples) {
@@ -95,9 +100,15 @@ void Coordinator::On(DeltaEvent& event) {
     ++totals_.deltas_refused;
     return;
   }
-  const int64_t samples = event.tile.range().size() * event.tile.num_pixels();
   worker->has_sent = true;
   worker->stalled = false;
+  result_.status = HearDepth(*worker, *job, event);
+  if (!result_.status.ok()) {
+    units_changed_ = waiting_changed_ = true;
+    ++totals_.deltas_refused;
+    return;
+  }
+  const int64_t samples = event.tile.range().size() * event.tile.num_pixels();
   worker->samples += samples;
   totals_.samples += samples;
   const Unit unit{event.delta.tile_index(), event.tile.range()};
@@ -132,6 +143,10 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
   job.audits_waiting.erase(unit);
   job.suspects.erase(unit);
   DropLeasesOf(job, unit);
+  if (!job.record.has_max_depth()) {
+    job.record.set_max_depth(event.delta.max_depth());
+    Save(job, false);  // before any of its samples is on disk
+  }
 
   CountFilm(job);
   job.film_changed = true;

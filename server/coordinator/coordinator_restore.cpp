@@ -112,6 +112,7 @@ bool Coordinator::StartOver(Job& job) {
   job.record.mutable_progress()->set_asset_bytes(asset_bytes);
   job.record.clear_scene();
   job.record.clear_arithmetic();
+  if (s.auto_depth()) job.record.clear_max_depth();
   job.record.set_version(config_.version);
   return true;
 }

@@ -83,6 +83,8 @@ struct Coordinator::Job {
   // With audits: what each host has added to the film, until the job closes.
   std::map<std::string, std::vector<Unit>> rendered_by;
   int64_t resets = 0;  // that have taken samples out of the film
+  // With auto_depth: what the pilots of hosts have found, in this incarnation.
+  std::map<std::string, int> depths_found;
   bool holds_film = false;  // its film counts into film_bytes_
   // The most memory of a worker that declined for want of it: none with as little is asked again.
   int64_t memory_short_bytes = -1;

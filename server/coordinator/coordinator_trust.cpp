@@ -20,6 +20,8 @@ namespace {
 constexpr int kCrashesBeforeSplit = 2;
 constexpr int kAuditScanMax = 64;
 constexpr size_t kBuildCrashesMax = 3;
+constexpr int64_t kDepthRetryMs = 60000;
+constexpr size_t kDepthHostsMax = 64;
 
 // SplitMix64's finaliser (Steele, Lea & Flood 2014).
 uint64_t Mix(uint64_t x) {
@@ -75,6 +77,47 @@ absl::Status Coordinator::Hear(Job& job, const Unit& unit, const std::string& ho
   return absl::OkStatus();
 }
 
+// The pilot is a function of the job: who finds another number than the others miscalculates, and
+// both kinds of samples must not be mixed. The first number holds until two hosts have found
+// another and no two that one. Errors: the delta does not count.
+absl::Status Coordinator::HearDepth(Worker& worker, Job& job, const DeltaEvent& event) {
+  if (!job.record.settings().auto_depth()) return absl::OkStatus();
+  const int found = event.delta.max_depth();
+  const std::string& host = worker.hello.host();
+  if (job.depths_found.size() < kDepthHostsMax || job.depths_found.contains(host)) {
+    job.depths_found[host] = found;
+  }
+  if (!job.record.has_max_depth() || found == job.record.max_depth()) return absl::OkStatus();
+  const auto hosts_of = [&](int depth) {
+    return std::ranges::count_if(job.depths_found,
+                                 [&](const auto& entry) { return entry.second == depth; });
+  };
+  if (hosts_of(found) > 1 && hosts_of(job.record.max_depth()) < 2) {
+    StartOverAt(job, found);
+    return absl::AbortedError("the job starts over");
+  }
+  job.last_decline = CutText(
+      absl::StrCat("the pilot of ", host, " has found --max-depth ", found,
+                   ", the job's samples have ", job.record.max_depth(),
+                   ": check the machines' memory and builds, or submit it with a number"),
+      kErrorBytesMax);
+  worker.retry_assets_ms[job.id] = now_.monotonic_ms + kDepthRetryMs;
+  DropLeasesOf(worker, job.id, event.delta.lease_id());
+  return absl::FailedPreconditionError(job.last_decline);
+}
+
+// The samples that it has are of another depth than most workers find.
+void Coordinator::StartOverAt(Job& job, int max_depth) {
+  StopWork(job);
+  std::set<int64_t> all;
+  for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) all.insert(tile);
+  job.plan.clear();
+  DropTiles(job, all);
+  job.record.set_max_depth(max_depth);
+  for (auto& [session, worker] : workers_) worker->retry_assets_ms.erase(job.id);
+  RenderAgain(job);
+}
+
 // A unit that waits for another host than those that have rendered it.
 std::optional<Unit> Coordinator::AuditFor(Job& job, const Worker& worker) {
   int scanned = 0;
@@ -119,12 +162,18 @@ bool Coordinator::DropTouched(Job& job, const std::string& host) {
     for (int64_t tile = 0; tile < job.grid.num_tiles(); ++tile) tiles.insert(tile);
     job.plan.clear();
   }
+  job.rendered_by.erase(touched);
+  DropTiles(job, tiles);
+  return true;
+}
+
+// Takes whole tiles out of the film.
+void Coordinator::DropTiles(Job& job, const std::set<int64_t>& tiles) {
   ++job.resets;
   for (const int64_t tile : tiles) {
     ResetTile(job, tile);
     result_.effects.emplace_back(TileChangedEffect{job.id, tile});
   }
-  job.rendered_by.erase(touched);
   for (auto& [other, units] : job.rendered_by) {
     std::erase_if(units, [&](const Unit& unit) { return tiles.contains(unit.tile); });
   }
@@ -134,13 +183,20 @@ bool Coordinator::DropTouched(Job& job, const std::string& host) {
   progress.set_render_core_seconds(0);
   for (const TileCost& cost : job.costs) AddCost(cost, &progress);
   CountFilm(job);
-  return true;
+  if (job.record.settings().auto_depth() && job.film->samples() == 0) {
+    job.record.clear_max_depth();
+  }
 }
 
 void Coordinator::ResetTouched(Job& job, const std::string& host) {
   if (!job.rendered_by.contains(host)) return;
   StopWork(job);
   DropTouched(job, host);
+  RenderAgain(job);
+}
+
+// What tiles have lost that were dropped, with nobody at work on the job.
+void Coordinator::RenderAgain(Job& job) {
   job.audits.clear();
   job.audits_waiting.clear();
   job.suspects.clear();

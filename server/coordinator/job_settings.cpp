@@ -75,6 +75,9 @@ absl::Status CheckBudget(const v1::JobSettings& s) {
     return Invalid("settings.max_depth is ", s.max_depth(), ": give 0 to ", kMaxDepthMax,
                    " bounces");
   }
+  if (s.auto_depth() && s.max_depth() != 0) {
+    return Invalid("settings.auto_depth: cannot be combined with max_depth: drop one of them");
+  }
   if (!IsFeatureEnd(FeatureEndOf(s.feature_spp()))) {
     return Invalid("settings.feature_spp is ", s.feature_spp(),
                    ": give a power of two such as 64, or 0 for every sample");

@@ -67,7 +67,8 @@ DeltaKey KeyOf(const v1::TileDelta& delta) {
           .window = RectOf(delta.window()),
           .range = {delta.sample_begin(), delta.sample_end()},
           .feature_end = delta.feature_end(),
-          .rays = delta.rays()};
+          .rays = delta.rays(),
+          .max_depth = delta.max_depth()};
 }
 
 Sha256Digest TestimonyOf(const TileStatistics& tile) {

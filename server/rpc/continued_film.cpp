@@ -67,7 +67,8 @@ absl::Status CheckSameSamples(const v1::JobSettings& film, const v1::JobSettings
         "environment");
   check(film.width() == job.width() && film.height() == job.height(), "width, height");
   check(RegionOf(film) == RegionOf(job), "region");
-  check(film.max_depth() == job.max_depth(), "max_depth");
+  check(film.max_depth() == job.max_depth() && film.auto_depth() == job.auto_depth(),
+        "max_depth");
   check(film.seed() == job.seed(), "seed");
   check(film.isa() == job.isa(), "isa");
   check(film.arithmetic() == job.arithmetic(), "arithmetic");

@@ -27,6 +27,7 @@ class FaultyRenderer : public Renderer {
   }
   v1::SceneReport Report() const override { return sound_->Report(); }
   int64_t memory_bytes() const override { return sound_->memory_bytes(); }
+  int max_depth() const override { return sound_->max_depth(); }
 
  private:
   // In a control group of less memory than that the kernel kills the process.

@@ -60,6 +60,11 @@ TEST(CompleteSettings, NamesTheFieldThatIsWrong) {
       {"spp", [](auto* s) { s->set_spp(0); }},
       {"spp", [](auto* s) { s->set_spp(int64_t{1} << 40); }},
       {"max_depth", [](auto* s) { s->set_max_depth(-1); }},
+      {"max_depth",
+       [](auto* s) {
+         s->set_max_depth(3);
+         s->set_auto_depth(true);
+       }},
       {"feature_spp", [](auto* s) { s->set_feature_spp(48); }},
       {"feature_spp", [](auto* s) { s->set_feature_spp(-64); }},
       {"feature_spp", [](auto* s) { s->set_feature_spp(int64_t{1} << 40); }},

@@ -136,6 +136,7 @@ class SimulatedFarm {
     event.delta.set_job(lease.job());
     event.delta.set_tile_index(lease.tile_index());
     event.delta.set_rays(5);
+    event.delta.set_max_depth(pilot_depths.contains(session) ? pilot_depths[session] : 6);
     event.wire_bytes = 100;
     const v1::JobSettings& spec = workers[session].specs[lease.job()];
     event.tile = render_tile(spec.seed(), RectOf(lease.window()),
@@ -182,6 +183,7 @@ class SimulatedFarm {
   std::vector<std::string> bans;
   std::vector<FilterAnswerEffect> filter_answers;
   absl::Status last_status;
+  std::map<SessionId, int> pilot_depths;  // that workers find for jobs with auto_depth; else 6
 
  private:
   void Apply(const SendEffect& effect) {

@@ -239,6 +239,10 @@ void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
   const bool may_lie =
       plan_.audit_rate < 1 &&
       std::ranges::any_of(plan_.workers, [](const WorkerPlan& worker) { return worker.lies > 0; });
+  if (!may_lie && record.max_depth() != SimDepth(s, record.arithmetic())) {
+    Fail(absl::StrCat(record.name(), " ends with the depth ", record.max_depth(), ", not ",
+                      SimDepth(s, record.arithmetic())));
+  }
   if (!may_lie && record.digest() != ReferenceDigest(s, counts, record.arithmetic())) {
     Fail(absl::StrCat(record.name(), ": the digest is not that of one process: ",
                       record.ShortDebugString()));

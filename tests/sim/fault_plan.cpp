@@ -36,7 +36,11 @@ JobPlan MakeJob(SimRandom& random, int64_t create_us_max) {
   s.set_tile_size(random.Chance(0.5) ? 4 : 8);
   static constexpr int64_t kSpp[] = {1, 2, 3, 8, 13, 16, 32, 40, 64};
   s.set_spp(kSpp[random.Between(0, 8)]);
-  s.set_max_depth(4);
+  if (s.seed() == 2) {
+    s.set_auto_depth(true);
+  } else {
+    s.set_max_depth(4);
+  }
   s.set_feature_spp(4);
   s.set_priority(random.Chance(0.2) ? static_cast<int>(random.Between(-1, 1)) : 0);
   if (random.Chance(0.2)) {

@@ -23,6 +23,9 @@ v1::AssetRef SimAsset();
 // Whoever renders sample 0 of tile 1 of a job with this seed crashes.
 inline constexpr uint64_t kPoisonSeed = 666;
 
+// The depth that a job's paths have, in an arithmetic: its own number, or what its pilot finds.
+int SimDepth(const v1::JobSettings& settings, const std::string& arithmetic);
+
 // The delta of a lease, as an honest worker makes it, or one that lies.
 v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
                         const std::string& arithmetic, bool is_lie = false);

@@ -86,12 +86,17 @@ class SimServer::Run : public EffectSink {
     return desk_.InputOf(host_.Read(
         [&](const Coordinator& c) { return c.FilterTicketOf(worker, lease); }));
   }
-  // Whether a host was banned since the last call, connected or not, and what it had touched was
-  // dropped.
+  // Whether since the last call a host was banned, connected or not, and what it had touched was
+  // dropped, or a job started over with another depth.
   bool FilmsReset() {
-    int64_t banned = 0;
-    host_.Read([&](const Coordinator& c) { banned = c.Totals().banned_hosts; });
-    return std::exchange(banned_hosts_, banned) != banned;
+    int64_t resets = 0;
+    host_.Read([&](const Coordinator& c) {
+      resets = c.Totals().banned_hosts;
+      for (const v1::Job& record : c.ListJobs(0, SIZE_MAX)) {
+        resets += c.ResetsOf(*ParseJobName(record.name()));
+      }
+    });
+    return std::exchange(resets_, resets) != resets;
   }
   uint64_t id() const { return id_; }
 
@@ -238,7 +243,7 @@ class SimServer::Run : public EffectSink {
   const int64_t clock_offset_ms_;
   bool alive_ = true;
   Instant last_step_;
-  int64_t banned_hosts_ = 0;
+  int64_t resets_ = 0;
   bool has_bans_ = false;  // and every job that ends from now on is free of lies
   bool saving_ = false;
   bool save_due_ = false;

@@ -13,6 +13,7 @@
 #include "core/film/pixel_sample.h"
 #include "worker/integrator/ablation.h"
 #include "worker/integrator/branch_pilot.h"
+#include "worker/integrator/depth_pilot.h"
 #include "worker/integrator/light_guide.h"
 #include "worker/integrator/path_walker.h"
 #include "worker/integrator/sobol_sampler.h"
@@ -33,6 +34,7 @@ class PathTracer::Impl {
   std::unique_ptr<const NestedSolids> solids;  // null where none overlap
   std::unique_ptr<PathWalker> walker;
   int branches = 1;
+  int max_depth = 0;
 };
 
 PathTracer::PathTracer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -88,6 +90,10 @@ absl::Status PathTracer::Build(std::unique_ptr<Scene> scene, Impl* impl) {
   if (!Steps().mis) parts.strategy = LightStrategy::kLightsOnly;
   if (!Steps().second_light_sample) parts.first_light_samples = 1;
   parts.has_roulette = Steps().roulette;
+  if (settings.depth_error > 0) {
+    parts.max_depth = FindDepth(parts, settings.width, settings.height, settings.depth_error);
+  }
+  impl->max_depth = parts.max_depth;
   parts.branches = settings.branches;
   if (!Steps().splitting) parts.branches = 1;
   if (parts.branches == 0) parts.branches = ChooseBranches(parts, settings.width, settings.height);
@@ -209,6 +215,7 @@ absl::StatusOr<TileStatistics> PathTracer::Render(const PixelRect& window, Sampl
 
 const Scene& PathTracer::scene() const { return *impl_->scene; }
 int PathTracer::branches() const { return impl_->branches; }
+int PathTracer::max_depth() const { return impl_->max_depth; }
 
 int64_t PathTracer::memory_bytes() const {
   int64_t bytes = impl_->scene->memory_bytes() + impl_->embree->memory_bytes() +

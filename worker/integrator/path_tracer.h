@@ -20,6 +20,9 @@ struct RenderSettings {
   int width = 640;  // of the frame
   int height = 360;
   int max_depth = 8;  // bounces after the camera hit
+  // In place of max_depth: what longer paths may at most add to the picture's error; a pilot finds
+  // the depth (depth_pilot.h). 0: max_depth holds.
+  double depth_error = 0;
   uint64_t seed = 0;
   int64_t feature_end = kAllFeatures;  // samples below it carry features (TileStatistics)
   std::string isa = "x86-64-v3";
@@ -54,6 +57,7 @@ class PathTracer {
 
   const Scene& scene() const;
   int branches() const;          // in use
+  int max_depth() const;         // in use
   int64_t memory_bytes() const;  // scene and acceleration structures
 
  private:

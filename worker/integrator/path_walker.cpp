@@ -392,6 +392,15 @@ bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
   return true;
 }
 
+// What paths of up to `bounces` bounces have brought: what the surface that was met emits is seen.
+void PathWalker::Observe(int bounces, const Batch& stems, const List& begun,
+                         const Batch& batch) const {
+  for (int i : begun) {
+    parts_.observer->Gathered(bounces, stems.samples[i],
+                              stems.paths[i].radiance + batch.paths[i].radiance);
+  }
+}
+
 void PathWalker::Walk(std::span<const PathRequest> requests, std::span<const CameraHit> hits,
                       std::span<PixelSample> samples, int64_t* rays) const {
   Batch stems, batch;
@@ -410,6 +419,7 @@ void PathWalker::Walk(std::span<const PathRequest> requests, std::span<const Cam
     Intersect(&batch);
     for (int depth = 1; batch.met.size() > 0; ++depth) {
       Read(&batch);
+      if (parts_.observer != nullptr) Observe(depth - 1, stems, begun, batch);
       Illuminate(depth, &batch);
       Scatter(&batch);
       CastShadows(&batch);

@@ -21,6 +21,15 @@ namespace tessera {
 // Which of the two strategies may find a light. Both, weighted, unless a test compares them.
 enum class LightStrategy { kBoth, kBsdfOnly, kLightsOnly };
 
+// Of a path tracer's pilot.
+class BounceObserver {
+ public:
+  virtual ~BounceObserver() = default;
+  // The light that paths of up to `bounces` bounces have brought to `sample`, in growing order of
+  // bounces; of all more bounces nothing is said if no more comes.
+  virtual void Gathered(int bounces, const PixelSample* sample, const V3f& radiance) = 0;
+};
+
 class PathWalker {
  public:
   static constexpr int kSamplesMax = FirstHits::kRaysMax;  // at once; a power of two
@@ -41,6 +50,8 @@ class PathWalker {
     // What moves no mean, for tests of that.
     bool has_roulette = true;
     int first_light_samples = kFirstLightSamples;  // or 1
+    // Of one branch: is told, for each sample, what its path has gathered by up to so many bounces.
+    BounceObserver* observer = nullptr;
   };
   explicit PathWalker(const Parts& parts);
 
@@ -78,6 +89,7 @@ class PathWalker {
   void AddEscaped(const List& escaped, Batch* batch) const;
   void PassHidden(Batch* batch) const;
   bool PassThrough(PathState* path) const;
+  void Observe(int bounces, const Batch& stems, const List& begun, const Batch& batch) const;
   void StoreFeatures(const PathState& path, const V3f& albedo, PixelSample* sample) const;
   void StoreSkyFeatures(const PathState& path, PixelSample* sample) const;
   void AddEmission(PathState* path) const;

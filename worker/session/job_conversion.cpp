@@ -4,6 +4,7 @@
 #include <numbers>
 
 #include "core/base/sha256.h"
+#include "worker/integrator/depth_pilot.h"
 
 namespace tessera {
 namespace {
@@ -77,6 +78,7 @@ RenderSettings RenderSettingsOf(const v1::JobSettings& settings, int build_threa
   render.width = settings.width();
   render.height = settings.height();
   render.max_depth = settings.max_depth();
+  if (settings.auto_depth()) render.depth_error = DepthErrorOf(settings.target_error());
   render.seed = settings.seed();
   render.feature_end = FeatureEndOf(settings.feature_spp());
   render.isa = settings.isa().empty() ? kDefaultIsaClass : settings.isa();
@@ -103,6 +105,10 @@ std::string SceneKeyOf(const v1::JobSettings& settings) {
   scene.set_width(settings.width());
   scene.set_height(settings.height());
   scene.set_max_depth(settings.max_depth());
+  if (settings.auto_depth()) {
+    scene.set_auto_depth(true);
+    scene.set_target_error(settings.target_error());
+  }
   scene.set_seed(settings.seed());
   scene.set_feature_spp(settings.feature_spp());
   scene.set_isa(settings.isa().empty() ? kDefaultIsaClass : settings.isa());

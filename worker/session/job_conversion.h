@@ -25,7 +25,7 @@ int64_t AssetBytesOf(const v1::JobSettings& settings);
 // differ in spp, region, tile size, filter or priority only have the same key and share a scene.
 std::string SceneKeyOf(const v1::JobSettings& settings);
 
-// Everything but load_seconds. The camera is given in glTF's world space.
+// Everything but load_seconds and max_depth. The camera is given in glTF's world space.
 v1::SceneReport SceneReportOf(const Scene& scene, int64_t memory_bytes);
 
 }  // namespace tessera

@@ -17,9 +17,12 @@ class PathTracerRenderer : public Renderer {
     return tracer_->Render(window, node, cancel, counters);
   }
   v1::SceneReport Report() const override {
-    return SceneReportOf(tracer_->scene(), tracer_->memory_bytes());
+    v1::SceneReport report = SceneReportOf(tracer_->scene(), tracer_->memory_bytes());
+    report.set_max_depth(tracer_->max_depth());
+    return report;
   }
   int64_t memory_bytes() const override { return tracer_->memory_bytes(); }
+  int max_depth() const override { return tracer_->max_depth(); }
 
  private:
   std::unique_ptr<PathTracer> tracer_;

@@ -113,13 +113,15 @@ absl::StatusOr<v1::TileDelta> RenderPool::Render(Task& task) const {
                                     .window = window,
                                     .range = range,
                                     .feature_end = tile->feature_end(),
-                                    .rays = counters.rays},
+                                    .rays = counters.rays,
+                                    .max_depth = task.renderer->max_depth()},
                                    encoded.payload));
   delta.set_payload(std::move(encoded.payload));
   delta.set_encoding(static_cast<uint32_t>(encoded.encoding));
   delta.set_payload_bytes(encoded.payload_bytes);
   delta.set_rays(counters.rays);
   delta.set_non_finite(counters.non_finite);
+  delta.set_max_depth(task.renderer->max_depth());
   delta.mutable_render_time()->set_seconds(nanoseconds / 1000000000);
   delta.mutable_render_time()->set_nanos(static_cast<int32_t>(nanoseconds % 1000000000));
   return delta;

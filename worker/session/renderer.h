@@ -27,6 +27,8 @@ class Renderer {
   // What the server tells its users about the scene; load_seconds is the caller's to fill.
   virtual v1::SceneReport Report() const = 0;
   virtual int64_t memory_bytes() const = 0;
+  // Of every path, bounces after the camera hit: as in Report().
+  virtual int max_depth() const = 0;
 };
 
 class RendererFactory {

@@ -18,8 +18,8 @@ class Render(CommandLineCase):
     def test_json_has_exactly_the_stable_fields(self):
         result = self.expect_json("render", "triangle.glb", "-o", "a.exr", "-o", "a.png", *SMALL)
         self.assertEqual(list(result), ["digest", "width", "height", "spp", "samples", "rays",
-                                        "non_finite", "seconds", "error", "stopped_by", "bytes",
-                                        "outputs"])
+                                        "non_finite", "max_depth", "seconds", "error", "stopped_by",
+                                        "bytes", "outputs"])
         self.assertEqual(set(result["seconds"]), {"load", "render", "filter", "total"})
         self.assertEqual(set(result["error"]), {"rel_rmse", "promised"})
         self.assertEqual(set(result["bytes"]), {"assets", "deltas"})
@@ -104,6 +104,30 @@ class Continue(CommandLineCase):
         self.expect_done("render", "triangle.glb", "-o", "plain.exr", *SMALL)
         self.expect_error(2, ["plain.exr", "--layers film"], "render", "triangle.glb",
                           "--continue", "plain.exr", "-o", "m.exr")
+
+
+class AutoDepth(CommandLineCase):
+    def test_what_the_pilot_finds_is_a_number_like_any_other(self):
+        small = ["--size", "16x12", "--spp", "4", "--sky", "1,1,1"]
+        found = self.expect_json("render", "triangle.glb", "-o", "auto.exr", "--layers", "film",
+                                 "--max-depth", "auto", *small)
+        self.assertEqual(found["max_depth"], 0)  # one triangle: no light is reflected twice
+        number = self.expect_json("render", "triangle.glb", "-o", "n.exr", "--max-depth", "0",
+                                  *small)
+        self.assertEqual(found["digest"], number["digest"])
+        for threads, tile in (("1", "8"), ("3", "32")):
+            again = self.expect_json("render", "triangle.glb", "-o", "a.exr", "--max-depth", "auto",
+                                     "--threads", threads, "--tile-size", tile, *small)
+            self.assertEqual(again["digest"], found["digest"])
+        more = self.expect_json("render", "triangle.glb", "--continue", "auto.exr", "-o", "m.exr",
+                                "--spp", "8")
+        self.assertEqual(more["max_depth"], 0)
+        self.expect_error(2, ["--max-depth (the film's is 0)"], "render", "triangle.glb",
+                          "--continue", "auto.exr", "-o", "m.exr", "--max-depth", "auto")
+        replayed = self.expect_json("render", "triangle.glb", "--replay", "auto.exr", "-o", "r.png")
+        self.assertEqual(replayed["digest"], found["digest"])
+        self.expect_error(2, ["--max-depth some", "0 to 1024, or auto"], "render", "triangle.glb",
+                          "-o", "a.exr", "--max-depth", "some")
 
 
 class Replay(CommandLineCase):

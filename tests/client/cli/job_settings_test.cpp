@@ -60,6 +60,10 @@ TEST(SettingsFromFlags, AllFlags) {
   EXPECT_EQ(settings->max_time().seconds(), 1);
   EXPECT_EQ(settings->max_time().nanos(), 500000000);
   EXPECT_EQ(settings->max_depth(), 0);
+  EXPECT_FALSE(settings->auto_depth());
+  flags.max_depth = "auto";
+  EXPECT_TRUE(SettingsFromFlags(flags, nullptr)->auto_depth());
+  EXPECT_EQ(SettingsFromFlags(flags, nullptr)->max_depth(), 0);
   EXPECT_EQ(settings->feature_spp(), 32);
   EXPECT_EQ(settings->seed(), UINT64_MAX);
   EXPECT_EQ(settings->environment().sky().y(), 2);

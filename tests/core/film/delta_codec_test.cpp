@@ -343,8 +343,9 @@ TEST(DeltaChecksum, BindsThePayloadToItsKey) {
                      .window = PixelRect::FromSize(3, 4, 5, 6),
                      .range = {8, 16},
                      .feature_end = 32,
-                     .rays = 7};
-  std::vector<DeltaKey> others(9, key);
+                     .rays = 7,
+                     .max_depth = 8};
+  std::vector<DeltaKey> others(10, key);
   others[0].lease_id = 2;
   others[1].job = "jobs/2";
   others[2].tile_index = 3;
@@ -353,7 +354,8 @@ TEST(DeltaChecksum, BindsThePayloadToItsKey) {
   others[5].range = {16, 24};
   others[6].feature_end = 64;
   others[7].rays = 8;
-  EXPECT_EQ(DeltaChecksum(key, payload), DeltaChecksum(others[8], payload));
+  others[8].max_depth = 9;
+  EXPECT_EQ(DeltaChecksum(key, payload), DeltaChecksum(others[9], payload));
   others.pop_back();
   for (const DeltaKey& other : others) {
     EXPECT_NE(DeltaChecksum(key, payload), DeltaChecksum(other, payload));

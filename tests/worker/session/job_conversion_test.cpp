@@ -122,6 +122,19 @@ TEST(JobConversion, KeyDependsOnWhatARendererDependsOnAlone) {
   }
 }
 
+TEST(JobConversion, ADepthThatAPilotFindsFollowsTheTarget) {
+  v1::JobSettings settings = Settings();
+  EXPECT_EQ(RenderSettingsOf(settings, 1).depth_error, 0);
+  settings.clear_max_depth();
+  settings.set_auto_depth(true);
+  EXPECT_DOUBLE_EQ(RenderSettingsOf(settings, 1).depth_error, 0.005);
+  const std::string key = SceneKeyOf(settings);
+  EXPECT_NE(key, SceneKeyOf(Settings()));
+  settings.set_target_error(0.1);
+  EXPECT_DOUBLE_EQ(RenderSettingsOf(settings, 1).depth_error, 0.025);
+  EXPECT_NE(SceneKeyOf(settings), key);
+}
+
 TEST(JobConversion, ReportGivesTheCameraInWorldSpace) {
   Scene scene;
   scene.origin = V3d(1e6, 0, 0);

@@ -54,6 +54,7 @@ class FakeRenderer : public Renderer {
     counters->rays = 3;
     return tile;
   }
+  int max_depth() const override { return 0; }
   v1::SceneReport Report() const override {
     v1::SceneReport report;
     report.set_triangles(12);
