@@ -41,6 +41,7 @@ struct Options {
   int64_t spp = 16, feature_spp = kAllFeatures;
   int threads = 2, max_depth = 8, build_threads = 2, branches = 0;
   uint64_t seed = 0;
+  double depth_error = 0;
 };
 
 double Seconds() {
@@ -160,6 +161,7 @@ absl::Status Run(const Options& options) {
   settings.width = options.width;
   settings.height = options.height;
   settings.max_depth = options.max_depth;
+  settings.depth_error = options.depth_error;
   settings.seed = options.seed;
   settings.isa = options.isa;
   settings.branches = options.branches;
@@ -178,7 +180,7 @@ absl::Status Run(const Options& options) {
       "%lld triangles, load %.2f s, build %.2f s, %.0f MB, attributes %.0f B/triangle; "
       "render %.2f s (CPU %.3f s), "
       "%.3f Msamples/s, %.2f Mrays/s, %.0f CPU ns/ray, %.2f rays/sample, "
-      "%d branches, %lld non-finite\n",
+      "%d branches, %d bounces, %lld non-finite\n",
       static_cast<long long>(triangles), loaded - start, built - loaded,
       static_cast<double>((*tracer)->memory_bytes()) / 1e6,
       AttributeBytesPerTriangle((*tracer)->scene()), seconds, cpu_seconds,
@@ -186,7 +188,7 @@ absl::Status Run(const Options& options) {
       static_cast<double>(counters.rays) / seconds / 1e6,
       cpu_seconds / static_cast<double>(counters.rays) * 1e9,
       static_cast<double>(counters.rays) / static_cast<double>(counters.samples),
-      (*tracer)->branches(), static_cast<long long>(counters.non_finite));
+      (*tracer)->branches(), (*tracer)->max_depth(), static_cast<long long>(counters.non_finite));
   PrintMemory(**tracer, peak_after_load);
   const Image picture = PictureOf(planes);
   if (!options.out.empty()) {
@@ -200,7 +202,7 @@ absl::Status Run(const Options& options) {
 }
 
 #ifdef TESSERA_ABLATION
-// --without STEP leaves one out.
+// --without STEP leaves one out; may be repeated.
 void AddSteps(CLI::App* app) {
   static const std::map<std::string, bool PathTracerSteps::*> kByName = {
       {"owen_sobol", &PathTracerSteps::owen_sobol},
@@ -213,10 +215,17 @@ void AddSteps(CLI::App* app) {
       {"roulette", &PathTracerSteps::roulette},
       {"second_light_sample", &PathTracerSteps::second_light_sample},
       {"splitting", &PathTracerSteps::splitting},
+      {"eight_surfaces", &PathTracerSteps::eight_surfaces},
+      {"opaque_meshes", &PathTracerSteps::opaque_meshes},
+      {"plain_materials", &PathTracerSteps::plain_materials},
+      {"lone_solids", &PathTracerSteps::lone_solids},
+      {"blind_rays", &PathTracerSteps::blind_rays},
   };
-  app->add_option_function<std::string>(
+  app->add_option_function<std::vector<std::string>>(
          "--without",
-         [](const std::string& name) { g_path_tracer_steps.*kByName.at(name) = false; })
+         [](const std::vector<std::string>& names) {
+           for (const std::string& name : names) g_path_tracer_steps.*kByName.at(name) = false;
+         })
       ->check(CLI::IsMember(kByName));
 }
 #endif
@@ -235,6 +244,7 @@ int main(int argc, char** argv) {
   app.add_option("--build-threads", options.build_threads);
   app.add_option("--feature-spp", options.feature_spp)->check(CLI::PositiveNumber);
   app.add_option("--max-depth", options.max_depth);
+  app.add_option("--depth-error", options.depth_error, "A pilot finds the depth for this error");
   app.add_option("--branches", options.branches)->check(CLI::IsMember({0, 1, 2, 4, 8}));
   app.add_option("--seed", options.seed);
   app.add_option("--isa", options.isa);

@@ -3,6 +3,7 @@
 #include <limits>
 
 #include "absl/strings/str_cat.h"
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/isa_class.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/sobol_sampler.h"
@@ -111,7 +112,7 @@ RTCGeometry EmbreeScene::NewTriangles(Mesh* mesh, const SurfaceReader& surfaces)
   rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
                              mesh->triangles.data(), 0, sizeof(mesh->triangles[0]),
                              mesh->triangles.size());
-  if (surfaces.HasAlpha(*mesh)) {
+  if (kMayHave.alpha && (surfaces.HasAlpha(*mesh) || !Steps().opaque_meshes)) {
     rtcSetGeometryUserData(geometry, const_cast<SurfaceReader*>(&surfaces));
     rtcSetGeometryIntersectFilterFunction(geometry, FilterNearest);
     rtcSetGeometryOccludedFilterFunction(geometry, FilterShadow);
@@ -173,7 +174,7 @@ bool EmbreeScene::Intersect(const Ray& ray, uint64_t key, RayHit* hit) const {
   query.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
   rtcIntersect1(world_.get(), &context.embree, &query);
   if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return false;
-  const uint32_t in = query.hit.instID[0];
+  const uint32_t in = kMayHave.instances ? query.hit.instID[0] : RTC_INVALID_GEOMETRY_ID;
   *hit = {in != RTC_INVALID_GEOMETRY_ID ? in : query.hit.geomID, query.hit.primID, query.hit.u,
           query.hit.v, query.ray.tfar};
   return true;
@@ -184,7 +185,8 @@ float EmbreeScene::Transmittance(const Ray& ray) const {
   RTCRay query = ToEmbree(ray);
   rtcOccluded1(world_.get(), &context.embree, &query);
   if (query.tfar < 0) return 0;
-  return context.depth == 0 ? 1.f : ExpNegative(-static_cast<float>(context.depth) / kDepthUnit);
+  if (!kMayHave.alpha || context.depth == 0) return 1;
+  return ExpNegative(-static_cast<float>(context.depth) / kDepthUnit);
 }
 
 Imath::Box3f EmbreeScene::bounds() const {

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "core/base/check.h"
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/ray_offset.h"
 
 namespace tessera {
@@ -106,7 +107,7 @@ int FirstHits::Trace(std::span<const PathRequest> requests, std::span<PixelSampl
       num_hits += hit[i];
       num_sky += !hit[i];
     }
-    if (num_sky == 0 || environment_ == nullptr) continue;
+    if (!kMayHave.environment || num_sky == 0 || environment_ == nullptr) continue;
     const Vec8 sky = environment_->Radiance(rays.direction);
     for (size_t i = 0; i < some.size(); ++i) {
       if (hit[i]) continue;

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "core/base/check.h"
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/cumulative_distribution.h"
 #include "worker/integrator/light_guide.h"
 #include "worker/integrator/portable_math.h"
@@ -169,7 +170,7 @@ void LightSampler::Look(std::span<LightLook> looks) const {
     }
     guide_->At({places.data(), looks.size()}, {regions.data(), looks.size()});
   }
-  const bool has_sky = has_group(kEnvironmentGroup);
+  const bool has_sky = kMayHave.environment && has_group(kEnvironmentGroup);
   for (size_t i = 0; i < looks.size(); ++i) {
     const LightGuide::Region* region = regions[i];
     const V3f& normal = looks[i].surface->shading_normal;
@@ -204,7 +205,7 @@ void LightSampler::Sample(std::span<LightDraw> draws) const {
     }
     draw.lit = false;
     if (!(shares[group] > 0)) continue;
-    if (group == kEnvironmentGroup) {
+    if (kMayHave.environment && group == kEnvironmentGroup) {
       sky[num_sky++] = &draw;
       continue;
     }
@@ -247,7 +248,7 @@ bool LightSampler::SampleGroup(LightGroup group, const LightView& view, float u_
                                const V2f& u, LightSample* sample) const {
   float probability = 0;
   bool lit = false;
-  if (group == kSunGroup) {
+  if (kMayHave.environment && group == kSunGroup) {
     const int sun = SampleRunningSums(sun_sums_, &u_choice);
     probability = sun_sums_[sun + 1] - sun_sums_[sun];
     lit = SamplePunctual(scene_.lights[suns_[sun]], view.receiver.position, sample);
@@ -255,7 +256,7 @@ bool LightSampler::SampleGroup(LightGroup group, const LightView& view, float u_
     const int chosen = local_bvh_.Choose(view.receiver, u_choice, &probability);
     if (chosen < 0) return false;
     const LocalLight& light = local_lights_[chosen];
-    lit = light.instance == LocalLight::kPunctual
+    lit = kMayHave.environment && light.instance == LocalLight::kPunctual
               ? SamplePunctual(scene_.lights[light.index], view.receiver.position, sample)
               : SampleTriangle(light, view.receiver.position, u, sample);
   }
@@ -307,7 +308,7 @@ bool LightSampler::SampleTriangle(const LocalLight& light, const V3f& receiver, 
   sample->radiance = surfaces_.Emission(light.instance, light.index, v2, v3, cosine);
   // The shadow ray ends before the light: what rays would pass is taken off here.
   const Mesh& mesh = *surfaces_.geometry(light.instance).mesh;
-  if (scene_.materials[mesh.material].alpha_mode != AlphaMode::kOpaque) {
+  if (kMayHave.alpha && scene_.materials[mesh.material].alpha_mode != AlphaMode::kOpaque) {
     sample->radiance *= surfaces_.Alpha(light.instance, light.index, v2, v3);
   }
   sample->pdf = distance2 / (0.5f * area2 * std::fabs(cosine));

@@ -8,6 +8,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include "worker/integrator/ablation.h"
+
 
 namespace tessera {
 namespace {
@@ -96,7 +98,9 @@ std::unique_ptr<const NestedSolids> NestedSolids::Find(const Scene& scene,
     solid.ior = RefractingIor(scene.materials[material].ior);
     bounds.push_back(box);
   }
-  if (!AnyMeet(std::move(bounds))) return nullptr;
+  // Without refracting solids an account of them says nothing, and costs what it costs.
+  const bool is_ablated = !Steps().lone_solids && bounds.empty();
+  if (!AnyMeet(std::move(bounds)) && !is_ablated) return nullptr;
   for (size_t i = 0; i < nested->solids_.size(); ++i) {
     Solid& solid = nested->solids_[i];
     solid.is_closed =

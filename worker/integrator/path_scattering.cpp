@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstddef>
 
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/path_batch.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/ray_offset.h"
@@ -63,7 +64,9 @@ void PathWalker::MakeBsdfs(Batch* batch) const {
   List plain;
   batch->rare.Clear();
   for (int i : batch->met) {
-    const bool covered = Bsdf8::Covers(batch->paths[i].surface->bsdf);
+    const bool covered =
+        !kMayHave.layers_and_glass ||
+        (Steps().eight_surfaces && Bsdf8::Covers(batch->paths[i].surface->bsdf));
     (covered ? plain : batch->rare).Add(i);
   }
   for (int i : batch->rare) {

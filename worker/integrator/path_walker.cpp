@@ -8,6 +8,7 @@
 #include <type_traits>
 
 #include "core/base/check.h"
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/path_batch.h"
 #include "worker/integrator/portable_math.h"
 #include "worker/integrator/ray_offset.h"
@@ -94,7 +95,7 @@ void PathWalker::StoreSkyFeatures(const PathState& path, PixelSample* sample) co
 
 void PathWalker::AddEscaped(const List& escaped, Batch* batch) const {
   for (int i : escaped) StoreSkyFeatures(batch->paths[i], batch->samples[i]);
-  if (parts_.environment == nullptr) return;
+  if (!kMayHave.environment || parts_.environment == nullptr) return;
   for (int first = 0; first < escaped.size(); first += kFloat8Lanes) {
     const int count = std::min(escaped.size() - first, kFloat8Lanes);
     std::array<const LightView*, kFloat8Lanes> views;
@@ -130,7 +131,7 @@ void PathWalker::Read(Batch* batch) const {
     path.surface.emplace(InPlace(
         [&] { return parts_.surfaces.Read(path.hit, -path.ray.direction, path.cone_width); }));
   }
-  if (parts_.solids != nullptr) PassHidden(batch);
+  if (kMayHave.layers_and_glass && parts_.solids != nullptr) PassHidden(batch);
   List scattering;
   for (int i : batch->met) {
     if (Arrive(&batch->paths[i], batch->samples[i])) scattering.Add(i);
@@ -197,18 +198,18 @@ bool PathWalker::Arrive(PathState* path, PixelSample* sample) const {
   const RayHit& hit = path->hit;
   // A solid's own boundary knows best what lies behind it, whatever the path has crossed.
   const V3f& absorption = surface.absorbs ? surface.absorption : path->medium;
-  if (MaxComponent(absorption) > 0) {
+  if (kMayHave.layers_and_glass && MaxComponent(absorption) > 0) {
     for (int c = 0; c < 3; ++c) path->throughput[c] *= ExpNegative(-absorption[c] * hit.t);
   }
   AddEmission(path);
   const float cosine = (-path->ray.direction).dot(surface.shading_normal);
-  const bool scatters = !surface.unlit && cosine > 1e-6f;
+  const bool scatters = !(kMayHave.unlit && surface.unlit) && cosine > 1e-6f;
   if (path->depth == 0) {
     sample->depth = hit.t;
     if (path->request->with_features) sample->material_id = surface.material + 1;
   }
   if (!scatters || path->depth > max_depth_) {
-    if (surface.unlit && path->seeks_features) {
+    if (kMayHave.unlit && surface.unlit && path->seeks_features) {
       StoreFeatures(*path, surface.bsdf.base_color, sample);
     }
     return false;
@@ -221,7 +222,7 @@ void PathWalker::AddEmission(PathState* path) const {
   if (MaxComponent(surface.emission) <= 0) return;
   const RayHit& hit = path->hit;
   float weight = 1;
-  if (path->depth > 0 && !surface.unlit) {
+  if (path->depth > 0 && !(kMayHave.unlit && surface.unlit)) {
     const float light_pdf = parts_.lights.TrianglePdf(path->view, hit.instance, hit.triangle,
                                                       path->ray.direction, hit.t) *
                             static_cast<float>(NumLightSamples(path->depth - 1));
@@ -325,7 +326,7 @@ void PathWalker::Scatter(Batch* batch) const {
 
 // The last bounce's ray only looks for light that direct lighting competes for.
 bool PathWalker::IsBlind(const PathState& path) const {
-  return path.depth == max_depth_ && parts_.environment == nullptr &&
+  return Steps().blind_rays && path.depth == max_depth_ && parts_.environment == nullptr &&
          !parts_.lights.has_extended_lights();
 }
 
@@ -353,7 +354,7 @@ void PathWalker::Branch(const Batch& stems, int branch, Batch* batch) const {
     path.hash_key = path.sampler.HashKey();
     path.request = stem.request;
     path.medium = stem.medium;
-    if (parts_.solids != nullptr) path.inside = stem.inside;
+    if (kMayHave.layers_and_glass && parts_.solids != nullptr) path.inside = stem.inside;
     path.seeks_features = stem.seeks_features && branch == 0;
     path.throughput = stem.throughput;
     path.radiance = V3f(0, 0, 0);
@@ -379,7 +380,7 @@ bool PathWalker::Continue(const PathState& from, const Scattered& scattered,
     path->throughput *= 1 / survival;
   }
   path->ray = {scattered.origin, scattered.direction, kInfinity};
-  if (scattered.cosine < 0 && !surface.bsdf.thin_walled) {
+  if (kMayHave.layers_and_glass && scattered.cosine < 0 && !surface.bsdf.thin_walled) {
     path->medium = surface.front_face ? surface.absorption : V3f(0, 0, 0);
     if (parts_.solids != nullptr) {
       parts_.solids->Cross(surface, &path->inside);
@@ -419,7 +420,7 @@ void PathWalker::Walk(std::span<const PathRequest> requests, std::span<const Cam
     Intersect(&batch);
     for (int depth = 1; batch.met.size() > 0; ++depth) {
       Read(&batch);
-      if (parts_.observer != nullptr) Observe(depth - 1, stems, begun, batch);
+      if (kMayHave.observer && parts_.observer != nullptr) Observe(depth - 1, stems, begun, batch);
       Illuminate(depth, &batch);
       Scatter(&batch);
       CastShadows(&batch);

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <map>
 
+#include "worker/integrator/ablation.h"
 #include "worker/integrator/material_layers.h"
 #include "worker/integrator/microfacet.h"
 #include "worker/integrator/onb.h"
@@ -185,7 +186,7 @@ WorldTriangle SurfaceReader::TriangleOf(uint32_t instance, uint32_t triangle) co
 SurfaceReader::Constants SurfaceReader::ConstantsOf(const Material& material,
                                                     const GlassAlbedoTable* glass) const {
   Constants c;
-  c.textured = false;
+  c.textured = !Steps().plain_materials;
   for (const TextureRef* ref : {&material.base_color_texture, &material.metallic_roughness_texture,
                                 &material.emission_texture, &material.transmission_texture,
                                 &material.specular_texture, &material.specular_color_texture}) {
@@ -395,18 +396,19 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo, float cone_width) 
   s.unlit = constants.unlit;
 
   // Geometry. Barycentric interpolation is the most exact position (Waechter & Binder 2019).
-  const bool turned = geometry.instanced && geometry.transform.mirrors;
+  const bool turned =
+      kMayHave.instances && geometry.instanced && geometry.transform.mirrors;
   const float ub = turned ? hit.v : hit.u, uc = turned ? hit.u : hit.v;
   s.position = t.a * (1 - ub - uc) + t.b * ub + t.c * uc;
   s.coordinate_max = std::max({MaxAbs(t.a), MaxAbs(t.b), MaxAbs(t.c)});
-  if (geometry.instanced) {
+  if (kMayHave.instances && geometry.instanced) {
     const Imath::M44f& m = geometry.transform.to_world;
     s.coordinate_max = std::max(s.coordinate_max, MaxAbs({m[3][0], m[3][1], m[3][2]}));
   }
   V3f ng = Unit((t.b - t.a).cross(t.c - t.a));
   const V3f smooth = SmoothNormal(place);
   V3f ns = smooth;
-  if (constants.has_normal_map) {
+  if (kMayHave.textures && constants.has_normal_map) {
     ns = MappedNormal(place, material.normal_texture, material.normal_scale, smooth);
   }
   s.front_face = ng.dot(wo) >= 0;
@@ -420,15 +422,19 @@ Surface SurfaceReader::Read(const RayHit& hit, const V3f& wo, float cone_width) 
   s.emission = constants.emission;
   s.bsdf = constants.bsdf;
   s.bsdf.entering = s.front_face;
-  if (constants.textured || !mesh.colors.empty()) ReadTextures(place, cone_width, &s);
-  if (constants.emits_by_place) {
+  if (kMayHave.textures && (constants.textured || !mesh.colors.empty())) {
+    ReadTextures(place, cone_width, &s);
+  }
+  if (kMayHave.textures && constants.emits_by_place) {
     s.emission = Emission(hit.instance, hit.triangle, hit.u, hit.v, ng.dot(wo));
   }
   // The inside of a solid has no layers.
-  const bool is_outside = s.front_face || s.bsdf.thin_walled || !constants.transmits;
-  if (constants.has_layers && is_outside) ReadLayers(place, smooth, wo, &s);
-  s.absorption = constants.absorption;
-  s.absorbs = !s.front_face && MaxComponent(s.absorption) > 0;
+  if (kMayHave.layers_and_glass) {
+    const bool is_outside = s.front_face || s.bsdf.thin_walled || !constants.transmits;
+    if (constants.has_layers && is_outside) ReadLayers(place, smooth, wo, &s);
+    s.absorption = constants.absorption;
+    s.absorbs = !s.front_face && MaxComponent(s.absorption) > 0;
+  }
   return s;
 }
 
