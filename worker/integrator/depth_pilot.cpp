@@ -17,9 +17,10 @@ namespace {
 constexpr uint64_t kPixelSeed = 0x6465707468ull;
 constexpr uint64_t kPathSeed = 0x626f756e6365ull;
 constexpr int kRegionsAcross = 16;
-// Of a region, in two halves. At first; then of the region that needs the most bounces more, as
-// often as it is that.
+// Of a region, in quarters that are independent of each other. At first; then of the region that
+// needs the most bounces more, as often as it is that.
 constexpr int kPathsFirst = PathWalker::kSamplesMax;
+constexpr int kQuarters = 4;
 constexpr int kPathsMax = 1024;
 constexpr int kMorePathsMax = 16384;  // of all regions
 // A region may lack so many times what the frame may.
@@ -32,7 +33,7 @@ constexpr double kShareOfTarget = 0.25;
 
 // Light of longer paths than some number of bounces, summed over paths by channel.
 struct Tail {
-  std::array<V3d, kNumHalves> sums = {V3d(0, 0, 0), V3d(0, 0, 0)};
+  std::array<V3d, kQuarters> sums = {};
   V3d squares = V3d(0, 0, 0);
 };
 
@@ -46,13 +47,39 @@ struct Lack {
 struct Region {
   PixelRect pixels;
   int paths = 0;
-  V3d sum = V3d(0, 0, 0);   // of all light
-  std::vector<Tail> tails;  // by bounces; none of more
+  std::array<V3d, kQuarters> sums = {};  // of all light
+  std::vector<Tail> tails;               // by bounces; none of more
 
   Lack LackOf(size_t bounces) const;
+  double SquareOf(const Tail& tail, int channel) const;
   // The fewest bounces whose lack's bound is at most that.
   int Need(double bound_max) const;
 };
+
+// 1 over the square of what is there without the tail, whose noise would excuse itself.
+double ScaleOf(double all, double tail) {
+  const double radiance = all - tail;
+  return 1 / (radiance * radiance + kDarkSquared);
+}
+
+// Two quarters' product over the square of what the two others see: noise of one factor says
+// nothing of another, so that there is no bias of it but upwards.
+double Region::SquareOf(const Tail& tail, int channel) const {
+  const double n = static_cast<double>(paths) / kQuarters;
+  double all = 0, beyond = 0, square = 0;
+  for (int q = 0; q < kQuarters; ++q) {
+    all += sums[q][channel] / n;
+    beyond += tail.sums[q][channel] / n;
+  }
+  for (int i = 0; i < kQuarters; ++i) {
+    for (int k = 0; k < i; ++k) {
+      const double a = tail.sums[i][channel] / n, b = tail.sums[k][channel] / n;
+      const double others = all - (sums[i][channel] + sums[k][channel]) / n;
+      square += a * b * ScaleOf(others / 2, (beyond - a - b) / 2);
+    }
+  }
+  return square / (kQuarters * (kQuarters - 1) / 2.0);
+}
 
 Lack Region::LackOf(size_t bounces) const {
   Lack lack;
@@ -61,16 +88,15 @@ Lack Region::LackOf(size_t bounces) const {
   const auto n = static_cast<double>(paths);
   double bound_square = 0;
   for (int c = 0; c < 3; ++c) {
-    const double mean = (tail.sums[0][c] + tail.sums[1][c]) / n;
-    // Of what is there without the tail, whose noise would excuse itself.
-    const double radiance = sum[c] / n - mean;
-    const double scale = 1 / (radiance * radiance + kDarkSquared);
+    double all = 0, mean = 0;
+    for (int q = 0; q < kQuarters; ++q) {
+      all += sums[q][c] / n;
+      mean += tail.sums[q][c] / n;
+    }
+    const double scale = ScaleOf(all, mean);
     const double variance = std::max(tail.squares[c] / n - mean * mean, 0.0) / (n - 1);
-    const double of_half = kNumHalves * variance;
-    // The halves' product has no bias of noise; a square would have.
-    lack.square += scale * tail.sums[0][c] * tail.sums[1][c] * (4 / (n * n)) / 3;
-    lack.square_deviation +=
-        scale * std::sqrt(of_half * (2 * mean * mean + of_half)) / 3;
+    lack.square += SquareOf(tail, c) / 3;
+    lack.square_deviation += scale * std::sqrt(4 * variance * (mean * mean + variance)) / 3;
     const double most = mean + kConfidence * std::sqrt(variance);
     bound_square += scale * most * most / 3;
   }
@@ -116,6 +142,9 @@ class DepthPilot {
   }
 
   int Find(double error_max) {
+    // Of equally many paths everywhere: a region that gets more because it seemed to lack much
+    // seems to lack less after that, and nobody asks those that seemed to lack little.
+    const int of_frame = NeedOfFrame(error_max * error_max);
     const double region_max = kRegionError * error_max;
     std::vector<int> needs;
     for (const Region& region : regions_) needs.push_back(region.Need(region_max));
@@ -129,7 +158,7 @@ class DepthPilot {
       budget -= paths;
       *most = regions_[region].Need(region_max);
     }
-    return std::max(NeedOfFrame(error_max * error_max), *std::ranges::max_element(needs));
+    return std::max(of_frame, *std::ranges::max_element(needs));
   }
 
  private:
@@ -170,9 +199,9 @@ class DepthPilot {
 
 void DepthPilot::TraceSome(size_t index) {
   Region& region = regions_[index];
-  std::array<SequenceSeeds, kNumHalves> seeds;
-  for (int half = 0; half < kNumHalves; ++half) {
-    seeds[half].Begin(SobolSampler::SequenceKey(kPathSeed, static_cast<int>(index), 0, half));
+  std::array<SequenceSeeds, kQuarters> seeds;
+  for (int q = 0; q < kQuarters; ++q) {
+    seeds[q].Begin(SobolSampler::SequenceKey(kPathSeed, static_cast<int>(index), q, 0));
   }
   std::array<PathRequest, kPathsFirst> requests;
   for (int i = 0; i < kPathsFirst; ++i) {
@@ -183,9 +212,10 @@ void DepthPilot::TraceSome(size_t index) {
                            pixels.width() - 1);
     const int y = std::min(static_cast<int>(at.y * static_cast<float>(pixels.height())),
                            pixels.height() - 1);
-    SequenceSeeds* of_half = &seeds[sample % kNumHalves];
-    requests[i] = {SobolSampler(of_half->key(), sample), of_half, pixels.x_begin + x,
-                   pixels.y_begin + y, false};
+    SequenceSeeds* own = &seeds[sample % kQuarters];
+    const int64_t of_half = kNumHalves * (sample / kQuarters);  // a sequence's points are a half's
+    requests[i] = {SobolSampler(own->key(), of_half), own, pixels.x_begin + x, pixels.y_begin + y,
+                   false};
   }
   int64_t rays = 0;
   walker_.Trace(requests, samples_, &rays);
@@ -193,13 +223,14 @@ void DepthPilot::TraceSome(size_t index) {
     std::vector<V3f>& gathered = log_.OfPath(static_cast<size_t>(i));
     ReplaceNonFinite(&samples_[i]);
     const V3d all(samples_[i].radiance[0], samples_[i].radiance[1], samples_[i].radiance[2]);
-    region.sum += all;
+    const auto quarter = static_cast<size_t>((region.paths + i) % kQuarters);
+    region.sums[quarter] += all;
     if (gathered.size() > region.tails.size()) region.tails.resize(gathered.size());
     for (size_t bounces = 0; bounces < gathered.size(); ++bounces) {
       Tail& tail = region.tails[bounces];
       for (int c = 0; c < 3; ++c) {
         const double rest = std::max(all[c] - double{gathered[bounces][c]}, 0.0);
-        tail.sums[(region.paths + i) % kNumHalves][c] += rest;
+        tail.sums[quarter][c] += rest;
         tail.squares[c] += rest * rest;
       }
     }

@@ -47,9 +47,9 @@ TEST(DepthPilotTest, FindsTheKnownEndOfAGeometricSeries) {
       int exact = 0;
       while (lack(exact) > error) ++exact;
       const int found = DepthOf(Furnace(albedo), error);
-      EXPECT_LE(lack(found), 1.05 * error) << albedo;
+      EXPECT_LE(lack(found), error) << albedo;
       // Confidence costs bounces where few paths go that far.
-      EXPECT_LE(found, 1.3 * exact + 2) << albedo << " " << error;
+      EXPECT_LE(found, 1.5 * exact + 2) << albedo << " " << error;
     }
   }
 }
