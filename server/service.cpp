@@ -302,7 +302,7 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
                                    JobKeeper{[this](JobId job) { return saver_->SaveNow(job); },
                                              [this](JobId job) { return saver_->RemoveNow(job); }},
                                    access_, *limits_, *deadlines_);
-  asset_service_ = std::make_unique<AssetService>(*assets_, access_, *limits_);
+  asset_service_ = std::make_unique<AssetService>(*assets_, access_, *limits_, *deadlines_);
   image_service_ = std::make_unique<ImageService>(
       *host_, *pictures_, [this](JobId job) { return FilmOf(job); }, access_, *limits_,
       *deadlines_);

@@ -1,6 +1,10 @@
 #include "server/rpc/asset_service.h"
 
+#include <mutex>
+#include <utility>
+
 #include "absl/strings/str_cat.h"
+#include "server/coordinator_host.h"
 #include "server/coordinator/limits.h"
 #include "server/rpc/refused_stream.h"
 #include "server/rpc/rpc_status.h"
@@ -8,26 +12,45 @@
 namespace tessera {
 namespace {
 
+// What a client whose upload stands still is told; it may resume it.
+absl::Status StalledError() {
+  return absl::UnavailableError(
+      "asset: nothing more has come of this upload for --write-deadline seconds: resume it");
+}
+
 class WriteReactor : public grpc::ServerReadReactor<v1::WriteAssetRequest> {
  public:
   WriteReactor(AssetStore* store, v1::WriteAssetResponse* response, ClientLimits* limits,
-               std::string client, ClientLimits::Hold hold)
+               std::string client, ClientLimits::Hold hold, WriteDeadlines* deadlines)
       : store_(store),
         response_(response),
         limits_(limits),
         client_(std::move(client)),
-        hold_(std::move(hold)) {
-    StartRead(&request_);
+        hold_(std::move(hold)),
+        deadline_(deadlines, [this] { End(StalledError()); }) {
+    Read();
   }
   void OnReadDone(bool ok) override {
-    if (!ok) return Finish(ToGrpc(begun_ ? absl::OkStatus()
-                                         : absl::InvalidArgumentError("asset: nothing was sent")));
-    if (absl::Status status = Handle(); !status.ok()) return Finish(ToGrpc(status));
-    StartRead(&request_);
+    deadline_.End();
+    if (!ok) {
+      return End(begun_ ? absl::OkStatus()
+                        : absl::InvalidArgumentError("asset: nothing was sent"));
+    }
+    if (absl::Status status = Handle(); !status.ok()) return End(status);
+    Read();
   }
   void OnDone() override { delete this; }
 
  private:
+  void Read() {
+    deadline_.Begin(Now().monotonic_ms);
+    std::lock_guard lock(mu_);
+    if (!ended_) StartRead(&request_);
+  }
+  void End(const absl::Status& status) {
+    std::lock_guard lock(mu_);
+    if (!std::exchange(ended_, true)) Finish(ToGrpc(status));
+  }
   absl::Status Handle() {
     if (!begun_) {
       absl::StatusOr<Sha256Digest> digest = Sha256FromBytes(request_.asset().sha256());
@@ -62,6 +85,9 @@ class WriteReactor : public grpc::ServerReadReactor<v1::WriteAssetRequest> {
   Sha256Digest digest_{};
   int64_t size_bytes_ = 0;
   bool begun_ = false;
+  std::mutex mu_;
+  bool ended_ = false;  // guarded by mu_
+  WriteDeadlines::Watch deadline_;
 };
 
 class ReadReactor : public grpc::ServerWriteReactor<v1::ReadAssetResponse> {
@@ -136,7 +162,8 @@ grpc::ServerReadReactor<v1::WriteAssetRequest>* AssetService::WriteAsset(
   std::string client = ClientOf(*caller, context->peer());
   absl::StatusOr<ClientLimits::Hold> hold = limits_.OpenStream(client);
   if (!hold.ok()) return new RefusedStream<Stream>(hold.status());
-  return new WriteReactor(&store_, response, &limits_, std::move(client), *std::move(hold));
+  return new WriteReactor(&store_, response, &limits_, std::move(client), *std::move(hold),
+                          &deadlines_);
 }
 
 grpc::ServerWriteReactor<v1::ReadAssetResponse>* AssetService::ReadAsset(

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "server/rpc/client_limits.h"
+#include "server/rpc/write_deadlines.h"
 #include "server/security/access.h"
 #include "server/store/asset_store.h"
 #include "tessera/v1/asset.grpc.pb.h"
@@ -11,8 +12,9 @@ namespace tessera {
 class AssetService final : public v1::AssetService::CallbackService {
  public:
   // All must outlive the service.
-  AssetService(AssetStore& store, const Access& access, ClientLimits& limits)
-      : store_(store), access_(access), limits_(limits) {}
+  AssetService(AssetStore& store, const Access& access, ClientLimits& limits,
+               WriteDeadlines& deadlines)
+      : store_(store), access_(access), limits_(limits), deadlines_(deadlines) {}
 
   grpc::ServerUnaryReactor* FindMissingAssets(grpc::CallbackServerContext* context,
                                               const v1::FindMissingAssetsRequest* request,
@@ -26,6 +28,7 @@ class AssetService final : public v1::AssetService::CallbackService {
   AssetStore& store_;
   const Access& access_;
   ClientLimits& limits_;
+  WriteDeadlines& deadlines_;
 };
 
 }  // namespace tessera

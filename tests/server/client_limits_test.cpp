@@ -163,6 +163,38 @@ TEST_F(LimitedService, AClientThatNeverReadsLosesItsStream) {
   EXPECT_FALSE(deaf->Finish().ok());
 }
 
+TEST_F(LimitedService, AnUploadThatStandsStillEndsAndMayBeResumed) {
+  ServiceOptions options;
+  options.client_limits.streams = 1;
+  options.write_deadline = std::chrono::milliseconds(100);
+  StartService(options);
+  const std::string content(1000, 'x');
+  const auto message = [&](size_t offset, size_t size) {
+    v1::WriteAssetRequest request;
+    request.mutable_asset()->set_sha256(ToBytes(Sha256Of(content)));
+    request.mutable_asset()->set_size_bytes(static_cast<int64_t>(content.size()));
+    request.set_offset_bytes(static_cast<int64_t>(offset));
+    request.set_chunk(content.substr(offset, size));
+    return request;
+  };
+  grpc::ClientContext still_context;
+  v1::WriteAssetResponse response;
+  const auto still = assets->WriteAsset(&still_context, &response);
+  still->Write(message(0, 400));
+  const grpc::Status status = still->Finish();  // it never says that this was all
+  // Its place is free again. On a busy machine this one may be too slow as well.
+  for (bool is_sent = false; !is_sent;) {
+    grpc::ClientContext context;
+    const auto resumed = assets->WriteAsset(&context, &response);
+    resumed->Write(message(0, 1000));
+    resumed->WritesDone();
+    is_sent = resumed->Finish().ok();
+  }
+  EXPECT_EQ(response.received_bytes(), 1000);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::UNAVAILABLE);
+  EXPECT_THAT(status.error_message(), HasSubstr("--write-deadline"));
+}
+
 TEST_F(LimitedService, AWatchOfChangesLeavesOutWhatHasNotChanged) {
   StartService();
   v1::Job job;
