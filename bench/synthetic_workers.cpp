@@ -30,11 +30,14 @@ DeltaStock::DeltaStock(const PathTracer& tracer, const PixelRect& window, int64_
     for (int64_t begin = 0; begin + size <= spp; begin += size) {
       RenderCounters counters;
       const SampleRange range{begin, begin + size};
+      const auto start = std::chrono::steady_clock::now();
       const auto tile = tracer.Render(window, range, nullptr, &counters);
       if (!tile.ok()) Die(tile.status().ToString());
+      const auto render_time = std::chrono::steady_clock::now() - start;
       EncodedDelta encoded = EncodeDelta(*tile, DeltaEncoding::kPackedBlocks);
       entries_[StockKeyOf(range)] = {std::move(encoded.payload), encoded.payload_bytes,
-                                     counters.rays};
+                                     counters.rays,
+                                     std::chrono::nanoseconds(render_time).count()};
     }
   }
 }
@@ -55,6 +58,8 @@ v1::TileDelta DeltaStock::Answer(const v1::Lease& lease) const {
   delta.set_encoding(static_cast<uint32_t>(DeltaEncoding::kPackedBlocks));
   delta.set_payload_bytes(entry.payload_bytes);
   delta.set_rays(entry.rays);
+  delta.mutable_render_time()->set_seconds(entry.render_ns / 1000000000);
+  delta.mutable_render_time()->set_nanos(static_cast<int>(entry.render_ns % 1000000000));
   delta.set_feature_end(feature_end_);
   delta.set_checksum(DeltaChecksum(KeyOf(delta), delta.payload()));
   return delta;

@@ -32,6 +32,7 @@ class DeltaStock {
     std::string payload;
     int64_t payload_bytes = 0;
     int64_t rays = 0;
+    int64_t render_ns = 0;  // of one thread
   };
   int64_t feature_end_;
   std::map<int64_t, Entry> entries_;  // by the range's begin * 2^32 + size

@@ -124,6 +124,7 @@ class Coordinator {
     int64_t issued_ms = 0;
     int64_t expires_ms = 0;
     bool is_race = false;
+    int turn = 1;  // its thread's, when it was given: behind the worker's other leases
     bool had_to_build = false;  // its scene first, as its worker has said
     v1::LeaseProgress::State state = v1::LeaseProgress::STATE_UNSPECIFIED;
     int64_t samples = 0;  // done, as far as it was told
@@ -265,7 +266,9 @@ class Coordinator {
   void NoteSpeed(Worker& worker, const Job& job, const Lease& lease, const DeltaEvent& event);
   void NoteIngest(double load);
   void Grant(Worker& worker, Job& job, const Unit& unit);
+  size_t LeasesAhead(const Worker& worker) const;
   size_t LeasesMax(const Worker& worker) const;
+  size_t LeaseBatch(const Worker& worker) const;
   bool CanServe(const Worker& worker, const Job& job) const;
   void DropLease(LeaseId id, bool revoke);
   void DropLeasesOf(Job& job, const Unit& unit);
@@ -275,7 +278,7 @@ class Coordinator {
   void CountFilm(Job& job);
 
   // Leases that take long (coordinator_races.cpp).
-  void NoteWait(const Worker& worker, const Lease& lease, const DeltaEvent& event);
+  void NoteWait(const Lease& lease, const DeltaEvent& event);
   void TakeWait();
   void RaceIdleWorkers();
   bool MayRace(const Lease& lease) const;

@@ -19,6 +19,10 @@ constexpr double kUnknownNsPerSample = 5000;
 constexpr double kBusyIngest = 0.5;
 constexpr double kIdleIngest = 0.25;
 constexpr double kLeaseScaleMax = 16;
+// How long the leases that wait for a thread shall keep it busy, and how many they are at most for
+// each thread and one more.
+constexpr double kAheadMs = 50;
+constexpr double kAheadMax = 4;
 
 }  // namespace
 
@@ -58,12 +62,15 @@ void Coordinator::GrantAll() {
   }
   GrantSuspects();
   std::vector<Worker*> workers;
+  const auto ask = [&](Worker& worker) {
+    if (worker.leases.size() + LeaseBatch(worker) <= LeasesMax(worker)) workers.push_back(&worker);
+  };
   if (all_may_take) {
-    for (const auto& [session, worker] : workers_) workers.push_back(worker.get());
+    for (const auto& [session, worker] : workers_) ask(*worker);
   } else {
     for (const SessionId session : may_take) {
       const auto found = workers_.find(session);
-      if (found != workers_.end()) workers.push_back(found->second.get());
+      if (found != workers_.end()) ask(*found->second);
     }
   }
   for (const bool stalled : {false, true}) {
@@ -83,13 +90,30 @@ bool Coordinator::GrantRound(const std::vector<Worker*>& workers, bool stalled) 
   return granted;
 }
 
-// One for each thread, and a few that wait for one to hide latency: the fewer, the longer leases
-// last, for each of them is a delta that may be on its way while the server has enough to take in.
+// A few that wait for a thread hide latency, more of them where they are short. The fewer, the
+// longer leases last when the server is busy, for each of them is a delta that may be on its way
+// while the server has enough to take in.
+size_t Coordinator::LeasesAhead(const Worker& worker) const {
+  if (worker.stalled) return 0;
+  const auto threads = static_cast<double>(worker.hello.threads());
+  double ahead = std::max(2.0, std::floor(threads / 2));
+  if (worker.render_ms > 0) {
+    ahead = std::clamp(std::ceil(kAheadMs * threads / worker.render_ms), ahead,
+                       kAheadMax * (1 + threads));
+  }
+  return static_cast<size_t>(ahead / lease_scale_);
+}
+
+// One for each thread, and those ahead.
 size_t Coordinator::LeasesMax(const Worker& worker) const {
   if (worker.stalled) return 1;
-  const auto threads = static_cast<size_t>(worker.hello.threads());
-  const auto ahead = static_cast<double>(std::max<size_t>(2, threads / 2));
-  return threads + static_cast<size_t>(ahead / lease_scale_);
+  return static_cast<size_t>(worker.hello.threads()) + LeasesAhead(worker);
+}
+
+// How many a worker is given at once, so that they wake it once: half of those ahead stay.
+size_t Coordinator::LeaseBatch(const Worker& worker) const {
+  const size_t ahead = LeasesAhead(worker);
+  return ahead <= 1 ? 1 : 1 + ahead / 2;
 }
 
 bool Coordinator::GrantOne(Worker& worker) {
@@ -154,6 +178,7 @@ void Coordinator::NoteSpeed(Worker& worker, const Job& job, const Lease& lease,
   if (!(ns > 0)) return;
   double& own = worker.ns_per_sample.try_emplace(job.id, ns / samples).first->second;
   own = 0.5 * (own + ns / samples);
+  worker.render_ms = worker.render_ms > 0 ? 0.5 * (worker.render_ms + 1e-6 * ns) : 1e-6 * ns;
   const v1::JobProgress& progress = job.record.progress();
   if (progress.samples() == 0 || !(progress.render_core_seconds() > 0)) return;
   const double average =
@@ -180,6 +205,8 @@ void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
                  now_.monotonic_ms + config_.lease_ttl_ms};
   expiries_.insert({leases_[id].expires_ms, id});
   worker.leases.insert(id);
+  const int threads = worker.hello.threads();
+  leases_[id].turn = (static_cast<int>(worker.leases.size()) + threads - 1) / threads;
   ++job.leases_of_session[worker.session];
   job.leases_of_unit[unit].push_back(id);
   job.samples_under_way += unit.range.size() * window.area();

@@ -89,7 +89,7 @@ void Coordinator::On(DeltaEvent& event) {
   const bool was_leased = lease != leases_.end() && lease->second.session == event.session;
   if (was_leased) {
     NoteSpeed(*worker, *job, lease->second, event);
-    NoteWait(*worker, lease->second, event);
+    NoteWait(lease->second, event);
     RenewFollowers(*worker);
     const bool units_changed = units_changed_;
     DropLease(event.delta.lease_id(), false);

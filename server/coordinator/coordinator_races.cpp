@@ -1,6 +1,5 @@
 // Leases that take long, given to idle workers as well; the first delta wins (C2: same bits).
 #include <algorithm>
-#include <cmath>
 #include <utility>
 #include <vector>
 
@@ -21,15 +20,13 @@ constexpr int64_t kWaitTtls = 4;
 
 // What of a lease's time was neither rendering nor waiting for a thread behind the worker's other
 // leases: its delta waited for the link or for the server.
-void Coordinator::NoteWait(const Worker& worker, const Lease& lease, const DeltaEvent& event) {
+void Coordinator::NoteWait(const Lease& lease, const DeltaEvent& event) {
   if (lease.had_to_build || waits_.size() >= kWaitsMax) return;
   const auto& time = event.delta.render_time();
   const double render_ms =
       std::max(0.0, 1e3 * static_cast<double>(time.seconds()) + 1e-6 * time.nanos());
-  const auto threads = static_cast<double>(worker.hello.threads());
-  const double in_turn = std::ceil(static_cast<double>(LeasesMax(worker)) / threads);
   const auto held_ms = static_cast<double>(now_.monotonic_ms - lease.issued_ms);
-  waits_.emplace_back(lease.session, std::max(0.0, held_ms - in_turn * render_ms));
+  waits_.emplace_back(lease.session, std::max(0.0, held_ms - lease.turn * render_ms));
 }
 
 // The median, if deltas of more than one worker have come: a slow link makes its own wait, a busy

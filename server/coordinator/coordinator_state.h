@@ -146,6 +146,7 @@ struct Coordinator::Worker {
   std::map<JobId, int64_t> building_ms;  // whose scenes it builds -> since when, monotonic
   int64_t samples = 0;
   std::map<JobId, double> ns_per_sample;  // of one thread, lately
+  double render_ms = 0;  // of a lease, lately; 0 = unknown
   std::set<LeaseId> filter_leases;
   int64_t filtered_windows = 0;
   int64_t filter_not_before_ms = 0;  // monotonic

