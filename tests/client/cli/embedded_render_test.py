@@ -21,7 +21,8 @@ class Render(CommandLineCase):
                                         "non_finite", "max_depth", "seconds", "error", "stopped_by",
                                         "bytes", "outputs"])
         self.assertEqual(set(result["seconds"]), {"load", "render", "filter", "total"})
-        self.assertEqual(set(result["error"]), {"rel_rmse", "promised"})
+        self.assertEqual(set(result["error"]), {"rel_rmse", "promised", "worst_tile",
+                                                  "promised_tile"})
         self.assertEqual(set(result["bytes"]), {"assets", "deltas"})
         self.assertRegex(result["digest"], "^[0-9a-f]{64}$")
         self.assertEqual((result["width"], result["height"]), (40, 24))
