@@ -11,11 +11,12 @@ Pictures must have the same bits (a view whose bits differ is named, and the exi
 
 Second table: instructions of a sample of the Cornell box, in the usual build and in one that lacks
 what the box does not need (TESSERA_LEAN), as callgrind counts them, which has no noise: the
-difference of two runs of one thread that differ in nothing but the number of samples. Needs
-valgrind, python3-numpy and python3-openimageio.
+difference of two runs of one thread that differ in nothing but the number of samples; and CPU time,
+by turns. Needs valgrind, python3-numpy and python3-openimageio.
 """
 
 import argparse
+import math
 import pathlib
 import re
 import statistics
@@ -114,8 +115,15 @@ def instructions(args, program: str, view, spp: int) -> int:
 
 def cost_of_the_unused(args) -> None:
     view = views.chosen("cornell", args.scenes)[0]
-    per_sample = {}
-    for program in ("path_tracer_bench", "lean_bench"):
+    per_sample, cpu = {}, {"path_tracer_bench": [], "lean_bench": []}
+    for _ in range(4 * args.rounds):
+        for program, seconds in cpu.items():
+            _, text = renderers.run(command(args, program, view, args.size, 4 * args.spp)
+                                    + ["--branches", "1"], args.out / "kernels.log")
+            seconds.append(float(re.search(r"\(CPU ([0-9.]+) s\)", text).group(1)))
+    ratios = [a / b for a, b in zip(*cpu.values())]
+    spread = statistics.stdev(ratios) / math.sqrt(len(ratios))
+    for program in cpu:
         more, fewer = (instructions(args, program, view, spp) for spp in (16, 8))
         per_sample[program] = (more - fewer) / (32 * 18 * 8)
     usual, lean = per_sample["path_tracer_bench"], per_sample["lean_bench"]
@@ -123,6 +131,8 @@ def cost_of_the_unused(args) -> None:
     print(f"| the usual build | {usual:.0f} |")
     print(f"| without {FEATURES_OFF} | {lean:.0f} |")
     print(f"| cost of what it does not use | {100 * (usual / lean - 1):.2f} % |")
+    print(f"| the same in CPU time, {len(ratios)} pairs by turns | "
+          f"{100 * (statistics.median(ratios) - 1):.1f} +- {100 * spread:.1f} % |")
 
 
 def main() -> int:
