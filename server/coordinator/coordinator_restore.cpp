@@ -100,7 +100,7 @@ bool Coordinator::StartOver(Job& job) {
     return false;
   }
   if (job.film->CommittedEnd() >= s.spp()) return true;
-  job.film = std::make_shared<Film>(job.grid);
+  job.film = std::make_shared<Film>(EmptyFilmOf(s));
   job.rendered_by.clear();
   job.past_suspects.clear();
   CountFilm(job);

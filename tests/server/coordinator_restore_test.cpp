@@ -43,6 +43,13 @@ TEST(CoordinatorRestore, AnotherVersionStartsOver) {
     EXPECT_EQ(after.Job(job).progress().work_time().seconds(), 0);
     EXPECT_EQ(after.coordinator.FilmOf(job)->samples(), 0);
     EXPECT_EQ(after.Job(job).state() == v1::JOB_STATE_PAUSED, command == JobCommand::kPause);
+    (void)after.Command(JobCommand::kResume, job);
+    v1::Hello hello = after.MakeHello("new", 2);
+    hello.set_version("1.2.4");
+    after.Post(WorkerConnectedEvent{after.next_session++, hello});
+    after.RunAll();
+    EXPECT_EQ(after.Job(job).digest(),
+              ExpectedDigest(after.Job(job).settings(), after.Job(job).settings().spp()));
   }
   SimulatedFarm same;
   const JobId job = same.Post(LeftAfter(15)).job;
