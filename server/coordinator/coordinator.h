@@ -207,8 +207,9 @@ class Coordinator {
   bool NextEpochFits(const Job& job) const;
   void NotePlanFloor(Job& job);
   void TakePlan(Job& job, std::vector<int64_t> plan);
+  static bool MeetsTarget(const PictureEvent& picture, const v1::JobSettings& settings);
   void DecideNextPlan(Job& job, const PictureEvent& picture);
-  std::vector<CellState> CellsOf(const Job& job, const std::vector<double>& tile_errors) const;
+  std::vector<CellState> CellsOf(const Job& job, const std::vector<CellError>& errors) const;
   bool PlanFits(const Job& job, const std::vector<int64_t>& plan) const;
   void CheckTime(Job& job);
 

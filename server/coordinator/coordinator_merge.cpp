@@ -293,7 +293,7 @@ void Coordinator::On(PictureEvent& event) {
   job->evaluating = false;
   const v1::JobSettings& settings = job->record.settings();
   if (IsAdaptive(settings)) return DecideNextPlan(*job, event);
-  if (event.estimated_error > 0 && event.estimated_error <= settings.target_error()) {
+  if (MeetsTarget(event, settings)) {
     return Finish(*job, v1::STOP_REASON_TARGET_ERROR);
   }
   job->queue->SetGate(job->queue->schedule().EpochEnd(job->queue->committed_spp()));

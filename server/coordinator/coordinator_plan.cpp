@@ -24,14 +24,18 @@ void Coordinator::NotePlanFloor(Job& job) {
   if (!job.plan.empty()) job.plan_floor = job.film->CommittedEnd();
 }
 
+bool Coordinator::MeetsTarget(const PictureEvent& picture, const v1::JobSettings& settings) {
+  return picture.estimated_error > 0 && picture.error_bound <= settings.target_error();
+}
+
 // All tiles have the samples of the plan before, and its picture is at the job's quality.
 void Coordinator::DecideNextPlan(Job& job, const PictureEvent& picture) {
   const v1::JobSettings& settings = job.record.settings();
-  const std::vector<CellState> cells = CellsOf(job, picture.tile_errors);
+  const std::vector<CellState> cells = CellsOf(job, picture.cell_errors);
   const double worst = std::ranges::max(CellErrors(job.grid, cells));
   job.record.mutable_progress()->set_worst_tile_error(std::isfinite(worst) ? worst : 0);
   ErrorTargets left{.image = settings.target_error(), .cell = settings.target_tile_error()};
-  if (picture.estimated_error > 0 && picture.estimated_error <= left.image) left.image = 0;
+  if (MeetsTarget(picture, settings)) left.image = 0;
   if (worst <= left.cell) left.cell = 0;
   if (HasTargetError(settings) && left.image == 0 && left.cell == 0) {
     return Finish(job, v1::STOP_REASON_TARGET_ERROR);
@@ -45,12 +49,12 @@ void Coordinator::DecideNextPlan(Job& job, const PictureEvent& picture) {
 }
 
 std::vector<CellState> Coordinator::CellsOf(const Job& job,
-                                            const std::vector<double>& tile_errors) const {
+                                            const std::vector<CellError>& errors) const {
   std::vector<CellState> cells(job.plan.size());
   for (size_t tile = 0; tile < cells.size(); ++tile) {
     cells[tile] = {.samples = job.plan[tile],
                    .rays = job.costs.empty() ? 0 : job.costs[tile].rays,
-                   .error = tile_errors[tile]};
+                   .error = errors[tile]};
   }
   return cells;
 }

@@ -12,6 +12,7 @@
 #include "core/denoise/denoiser.h"
 #include "core/film/film.h"
 #include "core/film/tile_statistics.h"
+#include "server/coordinator/sample_plan.h"
 #include "server/coordinator/tile_cost.h"
 #include "tessera/v1/job.pb.h"
 #include "tessera/v1/trust.pb.h"
@@ -118,10 +119,11 @@ struct PictureEvent {
   JobId job = 0;
   int64_t samples = 0;         // of the film when the filtering began
   double estimated_error = 0;  // sqrt(relMSE); 0 = unknown
+  double error_bound = 0;      // ErrorBound of the picture at the job's quality; 0 = unknown
   double filter_core_seconds = 0;  // spent since the last such event
   bool is_refined = false;         // the picture is at the job's quality
-  // Of a job that samples adaptively, at its quality: CellState::error by tile. Else empty.
-  std::vector<double> tile_errors{};
+  // Of a job that decides by its picture, at its quality: by cell of kCellSizePx. Else empty.
+  std::vector<CellError> cell_errors{};
 };
 // A window of a picture that a worker may filter. Answered by a FilterAnswerEffect, now or later.
 struct FilterOfferEvent {

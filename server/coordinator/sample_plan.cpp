@@ -13,6 +13,7 @@ namespace {
 
 constexpr double kGrowthMin = 1.25, kGrowthMax = 2;  // of the rays, in one epoch
 constexpr int kBisections = 64;
+constexpr double kHalfWidth95 = 1.96;  // of an interval, in standard errors
 
 // Two counts between powers of two and the next: 8, 12, 16, 24, ... Few different ones make large
 // nodes.
@@ -76,23 +77,52 @@ std::vector<double> AreasOf(const TileGrid& grid) {
   return areas;
 }
 
+// A cell's part of the error: the geometric mean of what is right on average and of what is precise.
+double ShareOf(const CellError& cell) {
+  return std::sqrt(std::max({0.0, cell.error, cell.noise}) * std::max(0.0, cell.noise));
+}
+
+struct Total {
+  double bound = 0;   // relMSE times 3 times the pixels: the upper end of its 95 % interval
+  double shares = 0;  // sum of ShareOf
+};
+
+Total TotalOf(std::span<const CellError> cells) {
+  Total total;
+  double error = 0, noise = 0;
+  for (const CellError& cell : cells) {
+    error += cell.error;
+    noise += cell.noise;
+    total.shares += ShareOf(cell);
+  }
+  const double scale = total.shares > 0 ? error / total.shares : 0;
+  double squares = 0;
+  for (const CellError& cell : cells) {
+    const double residual = cell.error - scale * ShareOf(cell);
+    squares += residual * residual;
+  }
+  total.bound = std::max(error, noise) + kHalfWidth95 * std::sqrt(squares);
+  return total;
+}
+
+// The errors that one sample of each cell's pixels would leave are such that those of what there is
+// add up to the bound.
 std::vector<Cell> Weigh(const TileGrid& grid, std::span<const CellState> states) {
   const std::vector<double> area = AreasOf(grid);
-  std::vector<double> variance(states.size());
+  std::vector<CellError> errors;
   for (size_t i = 0; i < states.size(); ++i) {
-    const auto samples = static_cast<double>(states[i].samples);
-    variance[i] = std::isfinite(states[i].error) ? std::max(0.0, states[i].error) * samples
-                                                 : area[i] * samples;
+    const bool is_known = std::isfinite(states[i].error.error);
+    errors.push_back(is_known ? states[i].error : CellError{area[i], area[i]});
   }
-  const std::vector<double> variance_around = SumAround(grid, variance);
-  const std::vector<double> area_around = SumAround(grid, area);
+  const Total total = TotalOf(errors);
+  const double scale = total.shares > 0 ? total.bound / total.shares : 0;
   std::vector<Cell> cells(states.size());
   for (size_t i = 0; i < states.size(); ++i) {
     Cell& cell = cells[i];
     cell.samples = static_cast<double>(states[i].samples);
     cell.rays_per_sample =
         std::max(area[i], static_cast<double>(states[i].rays) / std::max(1.0, cell.samples));
-    cell.variance = variance_around[i] / area_around[i] * area[i];
+    cell.variance = scale * ShareOf(errors[i]) * cell.samples;
     cell.weight = std::sqrt(cell.variance / cell.rays_per_sample);
   }
   return cells;
@@ -171,17 +201,25 @@ std::vector<int64_t> PlanForCells(const TileGrid& grid, std::span<const CellStat
 
 }  // namespace
 
+double ErrorBound(std::span<const CellError> cells, int64_t num_pixels) {
+  const double bound = TotalOf(cells).bound;
+  if (!std::isfinite(bound)) return std::numeric_limits<double>::infinity();
+  return std::sqrt(std::max(0.0, bound) / (3 * static_cast<double>(num_pixels)));
+}
+
 std::vector<double> CellErrors(const TileGrid& grid, std::span<const CellState> cells) {
   TESSERA_CHECK(std::ssize(cells) == grid.num_tiles());
-  std::vector<double> errors(cells.size());
+  std::vector<double> errors(cells.size()), noises(cells.size());
   for (size_t i = 0; i < cells.size(); ++i) {
-    errors[i] = std::isfinite(cells[i].error) ? cells[i].error
-                                              : std::numeric_limits<double>::infinity();
+    const CellError& error = cells[i].error;
+    errors[i] = std::isfinite(error.error) ? error.error : std::numeric_limits<double>::infinity();
+    noises[i] = error.noise;
   }
   errors = SumAround(grid, errors);
+  noises = SumAround(grid, noises);
   const std::vector<double> area_around = SumAround(grid, AreasOf(grid));
   for (size_t i = 0; i < cells.size(); ++i) {
-    errors[i] = std::sqrt(std::max(0.0, errors[i]) / (3 * area_around[i]));
+    errors[i] = std::sqrt(std::max({0.0, errors[i], noises[i]}) / (3 * area_around[i]));
   }
   return errors;
 }

@@ -15,14 +15,29 @@ inline constexpr int kCellSizePx = 16;
 // What every cell gets before anything is decided: fewer say too little about their own variance.
 inline constexpr int64_t kPilotSpp = 8;
 
+// Of the filtered picture, relMSE times 3, summed over a cell's pixels.
+struct CellError {
+  // What the filter estimates: right on average, but of one cell much of it is the estimate's own
+  // noise, and it may be negative. Not finite = unknown.
+  double error = 0;
+  // The part of it that is noise for certain, from the halves' difference: far less noisy, but
+  // blind to what the filter has smeared. All of it, where a filter does not tell.
+  double noise = 0;
+};
+
 // What is known of one cell.
 struct CellState {
   int64_t samples = 0;  // of each pixel
   int64_t rays = 0;     // that they have cost
-  // Of the filtered picture: the estimated squared relative error (relMSE times 3), summed over the
-  // cell's pixels; not finite = unknown.
-  double error = 0;
+  CellError error{};
 };
+
+// The error of a picture of these cells, `num_pixels` in all, as sqrt(relMSE): the upper end of the
+// estimate's 95 % interval. Targets are held against that, for who stops at the first estimate that
+// is low enough stops at a lucky one. The estimate's standard error is that of a sum of cells'
+// errors of which each differs, at random, from what its share (the geometric mean of its error and
+// noise) predicts. +inf where unknown.
+double ErrorBound(std::span<const CellError> cells, int64_t num_pixels);
 
 // What a job's error shall come down to; 0 = nothing is left to do for it, or it never was asked.
 struct ErrorTargets {
@@ -37,13 +52,13 @@ std::vector<double> CellErrors(const TileGrid& grid, std::span<const CellState> 
 // How many samples each cell's pixels shall have at the end of the next epoch, by tile of `grid`,
 // of `cells`, from as many as they have to spp_max. The cells get so many that the estimated error
 // falls most for the rays (Neyman 1934; with costs Cochran 1977, Sampling Techniques, eq. 5.23: n ~
-// sqrt(variance / cost)), taken from the error of a cell and its neighbours, among which the filter
-// spreads news and one pixel that stands out moves little. All together as many as reach
-// targets.image if errors fell as 1/n, but at least a quarter and at most as much again as the rays
-// so far: a filtered error falls more slowly, and the next epoch sees it. Each cell that misses
-// targets.cell gets as many as would reach it, but at most as many again as it has; with that
-// target alone no other cell gets any. Without any target: as much again as the rays so far. What
-// `cells` have is returned only when none may have more.
+// sqrt(variance / cost)); a cell's part of the error is the geometric mean of its own error and
+// noise. All together as many as bring ErrorBound down to targets.image if errors fell as 1/n, but
+// at least a quarter and at most as much again as the rays so far: a filtered error falls more
+// slowly, and the next epoch sees it. Each cell that misses targets.cell gets as many as would
+// reach it, but at most as many again as it has; with that target alone no other cell gets any.
+// Without any target: as much again as the rays so far. What `cells` have is returned only when
+// none may have more.
 std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState> cells,
                                  const ErrorTargets& targets, int64_t spp_max);
 

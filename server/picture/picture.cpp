@@ -411,20 +411,21 @@ double Picture::estimated_error() const {
   return estimated_error_;
 }
 
-std::vector<double> Picture::TileErrors() const {
-  std::vector<double> errors(static_cast<size_t>(grid_.num_tiles()));
+std::vector<CellError> Picture::CellErrors() const {
+  const TileGrid cells(grid_.region(), kCellSizePx);
+  std::vector<CellError> errors(static_cast<size_t>(cells.num_tiles()));
   std::shared_lock lock(mu_);
-  for (int64_t tile = 0; tile < grid_.num_tiles(); ++tile) {
-    const PixelRect window = grid_.WindowOf(tile);
-    double error = 0, noise = 0;
+  for (int64_t cell = 0; cell < cells.num_tiles(); ++cell) {
+    const PixelRect window = cells.WindowOf(cell);
+    CellError& sum = errors[static_cast<size_t>(cell)];
     for (int y = window.y_begin; y < window.y_end; ++y) {
       const auto first = static_cast<size_t>(filtered_.bounds.IndexOf(window.x_begin, y));
       for (size_t i = first; i < first + static_cast<size_t>(window.width()); ++i) {
-        error += double{filtered_.relative_error[i]};
-        noise += double{filtered_.relative_noise[i]};
+        sum.error += double{filtered_.relative_error[i]};
+        sum.noise += double{filtered_.relative_noise[i]};
       }
     }
-    errors[static_cast<size_t>(tile)] = std::max(error, noise);
+    if (sum.noise == 0) sum.noise = sum.error;  // the filter does not tell
   }
   return errors;
 }

@@ -21,6 +21,7 @@
 #include "core/denoise/frame_filter.h"
 #include "core/film/frame_planes.h"
 #include "core/image/image.h"
+#include "server/coordinator/sample_plan.h"
 #include "server/picture/leased_windows.h"
 #include "tessera/v1/job.pb.h"
 
@@ -64,9 +65,8 @@ class Picture {
   // Estimated sqrt(relMSE) of the filtered picture (DESIGN.md), from its own error output;
   // 0 = unknown. Deterministic.
   double estimated_error() const;
-  // Of the filtered picture, by tile: the estimated squared relative errors (relMSE times 3) summed
-  // over its pixels; +inf where unknown. Deterministic.
-  std::vector<double> TileErrors() const;
+  // Of the filtered picture, by cell of kCellSizePx pixels whatever the job's tiles. Deterministic.
+  std::vector<CellError> CellErrors() const;
   // The named layers over `region`, which must lie in the job's region. While an Update runs, parts
   // of the picture may be newer than others.
   // Errors: INVALID_ARGUMENT naming the layers that there are.

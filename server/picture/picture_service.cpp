@@ -319,7 +319,10 @@ void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture
                        .estimated_error = picture->estimated_error(),
                        .filter_core_seconds = round.cpu_seconds,
                        .is_refined = is_refined};
-    if (is_refined && IsAdaptive(round.view.settings)) event.tile_errors = picture->TileErrors();
+    if (is_refined && DecidesByPicture(round.view.settings)) {
+      event.cell_errors = picture->CellErrors();
+      event.error_bound = ErrorBound(event.cell_errors, picture->region().area());
+    }
     source_.on_picture(event);
   }
   if (round.finish) source_.on_finished({job, round.view.film->Digest()});

@@ -24,14 +24,15 @@ v1::JobSettings AdaptiveSettings() {
 // A farm whose errors fall as 1/n, and where a sample of the first cell leaves 100 times those of
 // the others.
 void JudgePictures(SimulatedFarm* farm) {
-  farm->tile_errors = [farm](const Film& film) {
-    std::vector<double> errors;
+  farm->cell_errors = [farm](const Film& film) {
+    std::vector<CellError> errors;
     double sum = 0;
     for (int64_t tile = 0; tile < film.grid().num_tiles(); ++tile) {
       const auto area = static_cast<double>(film.grid().WindowOf(tile).area());
-      errors.push_back((tile == 0 ? 100 : 1) * 3 * area /
-                       static_cast<double>(film.CommittedEnd(tile)));
-      sum += errors.back();
+      const double error =
+          (tile == 0 ? 100 : 1) * 3 * area / static_cast<double>(film.CommittedEnd(tile));
+      errors.push_back({error, error});
+      sum += error;
     }
     farm->estimated_error = std::sqrt(sum / (3 * kWidth * kHeight));
     return errors;

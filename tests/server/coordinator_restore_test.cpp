@@ -77,10 +77,10 @@ TEST(CoordinatorRestore, AnotherVersionFinishesWhatIsWhole) {
 
 // A farm whose pictures are good at 20 samples a pixel, and worst in the first cell.
 void JudgePictures(SimulatedFarm* farm) {
-  farm->tile_errors = [farm](const Film& film) {
+  farm->cell_errors = [farm](const Film& film) {
     farm->estimated_error = film.samples() >= 20 * film.grid().region().area() ? 0.05 : 0.5;
-    std::vector<double> errors(static_cast<size_t>(film.grid().num_tiles()), 1.0);
-    errors[0] = 1000;
+    std::vector<CellError> errors(static_cast<size_t>(film.grid().num_tiles()), {1, 1});
+    errors[0] = {1000, 1000};
     return errors;
   };
 }

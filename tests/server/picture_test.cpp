@@ -72,6 +72,33 @@ std::vector<std::vector<int64_t>> OddGroups(const TileGrid& grid) {
   return groups;
 }
 
+// Decisions live on a grid of their own (C2): jobs that differ in tiles alone take the same.
+TEST(Picture, ErrorsOfCellsDoNotDependOnTiles) {
+  for (const std::string denoiser : {"none", "regression"}) {
+    std::vector<CellError> first;
+    for (const int tile_size : {8, 16, 61}) {
+      v1::JobSettings settings = Settings(denoiser);
+      settings.set_tile_size(tile_size);
+      const TileGrid grid(RegionOf(settings), tile_size);
+      const Film film = SyntheticFilm(1, grid, 8);
+      Picture picture(settings);
+      EXPECT_TRUE(std::isinf(ErrorBound(picture.CellErrors(), grid.region().area())));
+      picture.Update(AllTiles(grid), From(film), DenoiseQuality::kFinal, 2);
+      const std::vector<CellError> cells = picture.CellErrors();
+      ASSERT_EQ(cells.size(), 4u * 3u);
+      EXPECT_GE(ErrorBound(cells, grid.region().area()), 0.999 * picture.estimated_error());
+      if (first.empty()) first = cells;
+      for (size_t i = 0; i < cells.size(); ++i) {
+        EXPECT_GT(cells[i].noise, 0);
+        EXPECT_EQ(std::bit_cast<uint64_t>(cells[i].error),
+                  std::bit_cast<uint64_t>(first[i].error));
+        EXPECT_EQ(std::bit_cast<uint64_t>(cells[i].noise),
+                  std::bit_cast<uint64_t>(first[i].noise));
+      }
+    }
+  }
+}
+
 TEST(Picture, IncrementalEqualsFromScratch) {
   for (const std::string& denoiser : DenoiserNames()) {
     SCOPED_TRACE(denoiser);

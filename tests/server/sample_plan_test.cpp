@@ -22,8 +22,9 @@ std::vector<CellState> Cells(const std::vector<double>& variances,
   for (int64_t tile = 0; tile < kGrid.num_tiles(); ++tile) {
     const auto i = static_cast<size_t>(tile);
     const auto count = static_cast<double>(samples[i]);
+    const double error = 3 * variances[i] / count * AreaOf(tile);
     cells.push_back({samples[i], static_cast<int64_t>(rays_per_sample * count * AreaOf(tile)),
-                     3 * variances[i] / count * AreaOf(tile)});
+                     {error, error}});
   }
   return cells;
 }
@@ -31,7 +32,7 @@ std::vector<CellState> Cells(const std::vector<double>& variances,
 double ErrorOf(const std::vector<CellState>& cells) {
   double sum = 0, area = 0;
   for (size_t i = 0; i < cells.size(); ++i) {
-    sum += cells[i].error;
+    sum += cells[i].error.error;
     area += 3 * AreaOf(static_cast<int64_t>(i));
   }
   return std::sqrt(sum / area);
@@ -109,9 +110,35 @@ TEST(SamplePlan, DearCellsGetFewer) {
 
 TEST(SamplePlan, WhatIsUnknownGetsSamplesToo) {
   std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1e-6), kPilot);
-  cells[10].error = std::numeric_limits<double>::infinity();
+  cells[10].error.error = std::numeric_limits<double>::infinity();
   const std::vector<int64_t> plan = PlanSamples(kGrid, cells, {.image = 1e-3}, 1 << 20);
   EXPECT_GT(plan[10], plan[79]);
+}
+
+// Cells whose errors are as their noise predicts leave no doubt; those that scatter do.
+TEST(ErrorBound, AddsTheEstimatesOwnNoise) {
+  std::vector<CellError> cells(100, {.error = 3, .noise = 2});
+  EXPECT_NEAR(ErrorBound(cells, 100), 1, 1e-9);
+  for (size_t i = 0; i < cells.size(); ++i) cells[i].error += i % 2 == 0 ? 2 : -2;
+  const double bound = ErrorBound(cells, 100);
+  EXPECT_GT(bound, std::sqrt(1 + 0.5 * 1.96 * 2 * 10 / 300));
+  EXPECT_LT(bound, std::sqrt(1 + 1.96 * 2 * 10 / 300));
+  // What is noise for certain is the least, whatever the estimates say.
+  for (CellError& cell : cells) cell.error = -1;
+  EXPECT_GE(ErrorBound(cells, 100), std::sqrt(2.0 / 3));
+  cells[7].error = std::numeric_limits<double>::infinity();
+  EXPECT_TRUE(std::isinf(ErrorBound(cells, 100)));
+}
+
+// A cell's own error is nearly all noise of the estimate: what the halves say weighs as much.
+TEST(SamplePlan, NoiseCountsAsMuchAsErrors) {
+  std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1.0), kPilot);
+  cells[10].error.error *= 16;
+  cells[50].error.noise *= 4;
+  cells[50].error.error *= 4;
+  const std::vector<int64_t> plan = PlanSamples(kGrid, cells, {.image = 1e-3}, 1 << 20);
+  EXPECT_EQ(plan[10], plan[50]);
+  EXPECT_GT(plan[10], plan[30]);
 }
 
 // One column of the grid is hard: it and its neighbours' column miss the target, nobody else gets
@@ -153,7 +180,7 @@ TEST(SamplePlan, BothTargetsTogetherGetWhatEitherWants) {
 
 TEST(SamplePlan, ACellOfUnknownErrorMissesItsTarget) {
   std::vector<CellState> cells = Cells(std::vector<double>(kCells, 1e-9), kPilot);
-  cells[45].error = std::numeric_limits<double>::quiet_NaN();
+  cells[45].error.error = std::numeric_limits<double>::quiet_NaN();
   EXPECT_TRUE(std::isinf(CellErrors(kGrid, cells)[45]));
   const std::vector<int64_t> plan = PlanSamples(kGrid, cells, {.cell = 0.5}, 1 << 20);
   EXPECT_EQ(plan[45], 2 * kPilotSpp);

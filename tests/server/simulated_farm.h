@@ -172,8 +172,8 @@ class SimulatedFarm {
   bool answer_pictures = true;
   double estimated_error = 0.5;  // what evaluated pictures say
   // And of their tiles, asked before: by default that all are equally bad.
-  std::function<std::vector<double>(const Film&)> tile_errors = [](const Film& film) {
-    return std::vector<double>(static_cast<size_t>(film.grid().num_tiles()), 1.0);
+  std::function<std::vector<CellError>(const Film&)> cell_errors = [](const Film& film) {
+    return std::vector<CellError>(static_cast<size_t>(film.grid().num_tiles()), {1, 1});
   };
   // What the workers render.
   std::function<TileStatistics(uint64_t seed, const PixelRect& window, SampleRange range,
@@ -215,9 +215,9 @@ class SimulatedFarm {
     PictureEvent picture{
         .job = effect.job, .samples = job.progress().samples(), .is_refined = true};
     if (IsAdaptive(job.settings())) {
-      picture.tile_errors = tile_errors(*coordinator.FilmOf(effect.job));
+      picture.cell_errors = cell_errors(*coordinator.FilmOf(effect.job));
     }
-    picture.estimated_error = estimated_error;
+    picture.estimated_error = picture.error_bound = estimated_error;
     answers.push_back(std::move(picture));
   }
   void Apply(const FinishJobEffect& effect) {

@@ -30,7 +30,7 @@ std::vector<int64_t> TargetCounts(const v1::JobSettings& s, const TileGrid& grid
     std::vector<CellState> cells;
     for (size_t tile = 0; tile < counts.size(); ++tile) {
       const int64_t area = grid.WindowOf(static_cast<int64_t>(tile)).area();
-      cells.push_back({counts[tile], counts[tile] * area, errors[tile]});
+      cells.push_back({counts[tile], counts[tile] * area, {errors[tile], errors[tile]}});
     }
     ErrorTargets left{.image = s.target_error(), .cell = s.target_tile_error()};
     if (SimError(grid, errors) <= left.image) left.image = 0;

@@ -155,13 +155,16 @@ class SimServer::Run : public EffectSink {
       for (int64_t tile = 0; tile < film->grid().num_tiles(); ++tile) {
         samples.push_back(film->CommittedEnd(tile));
       }
-      std::vector<double> errors = SimTileErrors(film->grid(), samples);
+      const std::vector<double> errors = SimTileErrors(film->grid(), samples);
       const double error = SimError(film->grid(), errors);
+      std::vector<CellError> cells;
+      for (const double e : errors) cells.push_back({e, e});
       (void)Post(PictureEvent{.job = job,
                               .samples = film->samples(),
                               .estimated_error = std::isfinite(error) ? error : 0,
+                              .error_bound = error,
                               .is_refined = true,
-                              .tile_errors = std::move(errors)});
+                              .cell_errors = std::move(cells)});
       Settle();
     });
   }
