@@ -77,7 +77,7 @@ std::vector<double> AreasOf(const TileGrid& grid) {
   return areas;
 }
 
-// A cell's part of the error: the geometric mean of what is right on average and of what is precise.
+// A cell's part of the error: the geometric mean of what is right on average and what is precise.
 double ShareOf(const CellError& cell) {
   return std::sqrt(std::max({0.0, cell.error, cell.noise}) * std::max(0.0, cell.noise));
 }
@@ -183,18 +183,40 @@ std::vector<int64_t> PlanForImage(const TileGrid& grid, std::span<const CellStat
   return plan;
 }
 
-// For the error of each cell.
+// For the error of each cell and its neighbours. Where it is missed, samples go to those of them
+// that leave most of it, by Neyman's rule: n ~ w, w = sqrt(variance / rays), such that the sum of
+// variance / n is the target's.
 std::vector<int64_t> PlanForCells(const TileGrid& grid, std::span<const CellState> states,
                                   double target, int64_t spp_max) {
   const std::vector<double> errors = CellErrors(grid, states);
+  const std::vector<Cell> cells = Weigh(grid, states);
+  std::vector<double> wanted(states.size());
+  for (size_t i = 0; i < states.size(); ++i) {
+    if (errors[i] <= target) continue;
+    const PixelRect window = grid.WindowOf(static_cast<int64_t>(i));
+    double now = 0, per_weight = 0;
+    const std::vector<int64_t> around =
+        grid.TilesIn(window.Expand(1).Intersect(grid.region()));
+    for (const int64_t tile : around) {
+      const Cell& cell = cells[static_cast<size_t>(tile)];
+      now += cell.variance / std::max(1.0, cell.samples);
+      if (cell.weight > 0) per_weight += cell.variance / cell.weight;
+    }
+    // What the cells are thought to leave adds up to what the estimate says of them together.
+    const double reduction = std::isfinite(errors[i]) ? errors[i] / target : 2;
+    const double scale = now > 0 ? per_weight / now * reduction * reduction : 0;
+    for (const int64_t tile : around) {
+      const auto at = static_cast<size_t>(tile);
+      wanted[at] = std::max(wanted[at], scale * cells[at].weight);
+    }
+    if (scale == 0) wanted[i] = std::max(wanted[i], 2 * cells[i].samples);
+  }
   std::vector<int64_t> plan(states.size());
   for (size_t i = 0; i < states.size(); ++i) {
     plan[i] = states[i].samples;
-    if (errors[i] <= target || plan[i] >= spp_max) continue;
-    const double growth = std::min(kGrowthMax, errors[i] / target * (errors[i] / target));
-    plan[i] = std::min(spp_max, std::max(StepAbove(plan[i]),
-                                         NearestStep(growth * static_cast<double>(plan[i]),
-                                                     spp_max)));
+    if (wanted[i] <= cells[i].samples || plan[i] >= spp_max) continue;
+    const double count = std::min(kGrowthMax * cells[i].samples, wanted[i]);
+    plan[i] = std::min(spp_max, std::max(StepAbove(plan[i]), NearestStep(count, spp_max)));
   }
   return plan;
 }

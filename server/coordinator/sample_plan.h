@@ -55,10 +55,10 @@ std::vector<double> CellErrors(const TileGrid& grid, std::span<const CellState> 
 // sqrt(variance / cost)); a cell's part of the error is the geometric mean of its own error and
 // noise. All together as many as bring ErrorBound down to targets.image if errors fell as 1/n, but
 // at least a quarter and at most as much again as the rays so far: a filtered error falls more
-// slowly, and the next epoch sees it. Each cell that misses targets.cell gets as many as would
-// reach it, but at most as many again as it has; with that target alone no other cell gets any.
-// Without any target: as much again as the rays so far. What `cells` have is returned only when
-// none may have more.
+// slowly, and the next epoch sees it. Where a cell with its neighbours misses targets.cell, those
+// of them that leave most of the error get as many as would reach it, but at most as many again as
+// they have; with that target alone no other cell gets any. Without any target: as much again as
+// the rays so far. What `cells` have is returned only when none may have more.
 std::vector<int64_t> PlanSamples(const TileGrid& grid, std::span<const CellState> cells,
                                  const ErrorTargets& targets, int64_t spp_max);
 
