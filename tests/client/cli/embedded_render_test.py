@@ -305,7 +305,7 @@ class Completion(CommandLineCase):
         script = self.expect_done("completion")
         subprocess.run(["bash", "-n"], input=script, text=True, check=True)
         self.assertEqual(self.complete("tessera", "rend"), ["render"])
-        self.assertEqual(self.complete("tessera", "render", "--targ"), ["--target-error"])
+        self.assertEqual(self.complete("tessera", "render", "--target-e"), ["--target-error"])
         self.assertEqual(self.complete("tessera", "render", "--quality", "p"), ["preview"])
         self.assertEqual(self.complete("tessera", "render", "tri"), ["triangle.glb"])
         self.assertEqual(self.complete("tessera", "list", "--spp"), [])
