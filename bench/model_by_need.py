@@ -79,7 +79,7 @@ class Render:
     cpu: float
     megabytes: float
     delta_bytes: int
-    max_depth: int
+    max_depth: int | None  # what --max-depth auto has found
 
 
 def render(args, view, seed: int, flags: tuple) -> Render:
@@ -101,7 +101,8 @@ def render(args, view, seed: int, flags: tuple) -> Render:
         raise RuntimeError(f"failed: {' '.join(command)}")
     result = json.loads(answer.read_text(encoding="utf-8"))
     return Render(accuracy.read_rgb(out), usage.ru_utime + usage.ru_stime,
-                  usage.ru_maxrss * 1024 / 1e6, result["bytes"]["deltas"], result["max_depth"])
+                  usage.ru_maxrss * 1024 / 1e6, result["bytes"]["deltas"],
+                  result.get("max_depth"))
 
 
 class Figures:
@@ -128,7 +129,7 @@ def row(name: str, pair: tuple[Figures, Figures]) -> str:
             f"| {both(lambda f: f'{f.delta_bytes / 1e6:.3f}')} "
             f"| {both(lambda f: f'{f.megabytes:.0f}')} "
             f"| {both(lambda f: f'{f.rel_mse:.3g} +- {100 * f.rel_mse_error / f.rel_mse:.0f} %')} "
-            f"| {both(lambda f: str(f.max_depth))} |")
+            f"| {both(lambda f: '-' if f.max_depth is None else str(f.max_depth))} |")
 
 
 def main() -> int:

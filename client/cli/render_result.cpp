@@ -63,15 +63,19 @@ ordered_json ResultJson(const RenderResult& result) {
   json["samples"] = progress.samples();
   json["rays"] = progress.rays();
   json["non_finite"] = progress.non_finite();
-  json["max_depth"] = job.has_max_depth() ? ordered_json(job.max_depth()) : ordered_json(nullptr);
+  if (job.settings().auto_depth()) {
+    json["max_depth"] = job.has_max_depth() ? ordered_json(job.max_depth()) : ordered_json(nullptr);
+  }
   json["seconds"] = {{"load", result.seconds.load},
                      {"render", result.seconds.render},
                      {"filter", result.seconds.filter},
                      {"total", result.seconds.total}};
   json["error"] = {{"rel_rmse", NumberOrNull(progress.estimated_error())},
-                   {"promised", NumberOrNull(job.settings().target_error())},
-                   {"worst_tile", NumberOrNull(progress.worst_tile_error())},
-                   {"promised_tile", NumberOrNull(job.settings().target_tile_error())}};
+                   {"promised", NumberOrNull(job.settings().target_error())}};
+  if (job.settings().target_tile_error() > 0) {
+    json["error"]["worst_tile"] = NumberOrNull(progress.worst_tile_error());
+    json["error"]["promised_tile"] = job.settings().target_tile_error();
+  }
   json["stopped_by"] = StopWord(job.stop_reason());
   json["bytes"] = {{"assets", progress.asset_bytes()}, {"deltas", progress.delta_bytes()}};
   json["outputs"] = result.outputs;

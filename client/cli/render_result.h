@@ -47,7 +47,8 @@ struct RenderResult {
 // digest, width, height, spp, samples, rays, non_finite, seconds, error, stopped_by, bytes,
 // outputs.
 // error.rel_rmse is the server's estimate (null while unknown), error.promised the --target-error
-// (null without); error.worst_tile and error.promised_tile are the same of --target-tile-error.
+// (null without). Only with --target-tile-error: error.worst_tile and error.promised_tile, the same
+// of it; only with --max-depth auto: max_depth, what its pilot has found (null while unknown).
 nlohmann::ordered_json ResultJson(const RenderResult& result);
 std::string ResultLine(const RenderResult& result);
 
