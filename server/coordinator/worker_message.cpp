@@ -1,5 +1,10 @@
 #include "server/coordinator/worker_message.h"
 
+#include <google/protobuf/io/coded_stream.h>
+#include <google/protobuf/wire_format_lite.h>
+
+#include <optional>
+#include <string>
 #include <utility>
 
 #include "core/denoise/window_codec.h"
@@ -11,7 +16,65 @@
 namespace tessera {
 namespace {
 
-absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool with_digest) {
+using google::protobuf::internal::WireFormatLite;
+using google::protobuf::io::CodedInputStream;
+
+constexpr uint32_t kDeltaTag = WireFormatLite::MakeTag(v1::WorkerMessage::kDeltaFieldNumber,
+                                                       WireFormatLite::WIRETYPE_LENGTH_DELIMITED);
+constexpr uint32_t kPayloadTag = WireFormatLite::MakeTag(
+    v1::TileDelta::kPayloadFieldNumber, WireFormatLite::WIRETYPE_LENGTH_DELIMITED);
+
+// A delta without its payload, which lies in the bytes that it was read from.
+struct WireDelta {
+  v1::TileDelta delta;
+  std::string_view payload;
+  int64_t wire_bytes = 0;
+};
+
+CodedInputStream StreamOf(std::string_view bytes) {
+  return CodedInputStream(reinterpret_cast<const uint8_t*>(bytes.data()),
+                          static_cast<int>(bytes.size()));
+}
+
+// What a v1::WorkerMessage holds that is a delta and nothing else; nullopt for others.
+std::optional<std::string_view> DeltaBytesOf(std::string_view message) {
+  CodedInputStream stream = StreamOf(message);
+  uint32_t size = 0;
+  if (stream.ReadTag() != kDeltaTag || !stream.ReadVarint32(&size)) return std::nullopt;
+  const auto begin = static_cast<size_t>(stream.CurrentPosition());
+  if (message.size() - begin != size) return std::nullopt;
+  return message.substr(begin);
+}
+
+// The bytes of a v1::TileDelta, taken apart. Not copying the payload is what this is for.
+std::optional<WireDelta> ReadDelta(std::string_view bytes) {
+  WireDelta out;
+  out.wire_bytes = static_cast<int64_t>(bytes.size());
+  std::string others;
+  CodedInputStream stream = StreamOf(bytes);
+  for (;;) {
+    const auto field_begin = static_cast<size_t>(stream.CurrentPosition());
+    if (field_begin == bytes.size()) break;
+    const uint32_t tag = stream.ReadTag();
+    if (tag == 0 || !WireFormatLite::SkipField(&stream, tag)) return std::nullopt;
+    const auto field_end = static_cast<size_t>(stream.CurrentPosition());
+    const std::string_view field = bytes.substr(field_begin, field_end - field_begin);
+    if (tag != kPayloadTag) {
+      others += field;
+      continue;
+    }
+    CodedInputStream payload = StreamOf(field);
+    uint32_t size = 0;
+    payload.ReadTag();
+    if (!payload.ReadVarint32(&size) || size > field.size()) return std::nullopt;
+    out.payload = field.substr(field.size() - size);
+  }
+  if (!out.delta.ParseFromString(others)) return std::nullopt;
+  return out;
+}
+
+absl::StatusOr<Event> DecodeEvent(SessionId session, WireDelta&& wire, bool with_digest) {
+  v1::TileDelta& delta = wire.delta;
   const v1::Region& window = delta.window();
   const SampleRange range{delta.sample_begin(), delta.sample_end()};
   if (window.width() < 1 || window.height() < 1 || window.width() > kTileSizeMaxPx ||
@@ -22,20 +85,27 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool 
   if (range.begin < 0 || range.end > kSppMax || !range.IsNode()) {
     return absl::InvalidArgumentError("delta: the sample range is no aligned power of two");
   }
-  if (delta.checksum() != DeltaChecksum(KeyOf(delta), delta.payload())) {
+  if (delta.checksum() != DeltaChecksum(KeyOf(delta), wire.payload)) {
     return absl::InvalidArgumentError("delta: wrong checksum, it was damaged on its way");
   }
   DeltaEvent event{.session = session};
-  event.wire_bytes = static_cast<int64_t>(delta.ByteSizeLong());
+  event.wire_bytes = wire.wire_bytes;
   absl::StatusOr<TileStatistics> tile =
-      DecodeDelta(RectOf(window), range, delta.feature_end(), delta.encoding(), delta.payload());
+      DecodeDelta(RectOf(window), range, delta.feature_end(), delta.encoding(), wire.payload);
   if (!tile.ok()) return tile.status();
   event.tile = *std::move(tile);
   event.noise = NoiseOf(event.tile);
   if (with_digest) event.digest = TestimonyOf(event.tile);
-  delta.clear_payload();
   event.delta = std::move(delta);
   return event;
+}
+
+// Of a message in memory: its payload stays alive until it is decoded.
+absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool with_digest) {
+  const auto wire_bytes = static_cast<int64_t>(delta.ByteSizeLong());
+  const std::string payload = std::move(*delta.mutable_payload());
+  delta.clear_payload();
+  return DecodeEvent(session, {std::move(delta), payload, wire_bytes}, with_digest);
 }
 
 absl::StatusOr<Event> DecodeEvent(SessionId session, v1::FilteredWindow& filtered) {
@@ -98,6 +168,19 @@ absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message, boo
       break;
   }
   return absl::InvalidArgumentError("an empty message, or one of another version");
+}
+
+absl::StatusOr<Event> EventOf(SessionId session, std::string_view message, bool with_digests) {
+  if (const std::optional<std::string_view> bytes = DeltaBytesOf(message)) {
+    std::optional<WireDelta> delta = ReadDelta(*bytes);
+    if (!delta) return absl::InvalidArgumentError("a damaged message, or one of another version");
+    return DecodeEvent(session, *std::move(delta), with_digests);
+  }
+  v1::WorkerMessage parsed;
+  if (!parsed.ParseFromArray(message.data(), static_cast<int>(message.size()))) {
+    return absl::InvalidArgumentError("a damaged message, or one of another version");
+  }
+  return EventOf(session, parsed, with_digests);
 }
 
 }  // namespace tessera

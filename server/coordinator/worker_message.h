@@ -1,6 +1,8 @@
 // What workers say, as events of the coordinator: checks and decodes bytes from outside.
 #pragma once
 
+#include <string_view>
+
 #include "absl/status/statusor.h"
 #include "core/film/delta_codec.h"
 #include "server/coordinator/event.h"
@@ -13,6 +15,10 @@ namespace tessera {
 // session must end.
 // with_digests: deltas come with DeltaEvent.digest, which takes time.
 absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message,
+                              bool with_digests = false);
+
+// The same of a v1::WorkerMessage as it came over the wire: a delta's payload is read where it lies.
+absl::StatusOr<Event> EventOf(SessionId session, std::string_view message,
                               bool with_digests = false);
 
 // What the checksum of a delta binds its payload to. Valid as long as `delta`.

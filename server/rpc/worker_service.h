@@ -11,19 +11,22 @@
 
 namespace tessera {
 
-class WorkerService final : public v1::WorkerService::CallbackService {
+// The stream of a session hands on bytes (WorkerSessions::Stream), the others messages.
+using WorkerServiceBase = v1::WorkerService::WithRawCallbackMethod_Work<
+    v1::WorkerService::WithCallbackMethod_ReadFilterInput<
+        v1::WorkerService::WithCallbackMethod_ListWorkers<v1::WorkerService::Service>>>;
+
+class WorkerService final : public WorkerServiceBase {
  public:
   // All must outlive the service.
   WorkerService(CoordinatorHost& host, WorkerSessions& sessions, FilterDesk& desk,
                 const Access& access)
       : host_(host), sessions_(sessions), desk_(desk), access_(access) {}
 
-  grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Work(
-      grpc::CallbackServerContext* context) override {
+  WorkerSessions::Stream* Work(grpc::CallbackServerContext* context) override {
     const absl::Status status = access_.Check(*context, Role::kWorker).status();
     if (status.ok()) return sessions_.Accept(context);
-    using Stream = grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>;
-    return new RefusedStream<Stream>(status);
+    return new RefusedStream<WorkerSessions::Stream>(status);
   }
   grpc::ServerWriteReactor<v1::ReadFilterInputResponse>* ReadFilterInput(
       grpc::CallbackServerContext* context,

@@ -2,9 +2,14 @@
 
 #include <time.h>
 
+#include <algorithm>
 #include <deque>
 #include <string>
+#include <string_view>
+#include <variant>
+#include <vector>
 
+#include <grpcpp/impl/codegen/proto_utils.h>
 #include <grpcpp/server_context.h>
 
 #include "absl/strings/str_cat.h"
@@ -27,9 +32,35 @@ constexpr int64_t kMessagesPerTiming = 8;  // a system call is not for free
 constexpr size_t kQueuedMessagesMax = 16384;  // towards one worker that does not read
 constexpr int64_t kEndGraceMs = 2000;  // in which an ending stream's last message may go out
 
+// The bytes of a message, which came in pieces. Valid until the thread's next call, and no longer
+// than `message`. The memory is the thread's: that of a delta would be the kernel's to clear anew
+// each time.
+std::string_view BytesOf(const grpc::ByteBuffer& message) {
+  thread_local std::vector<grpc::Slice> slices;
+  thread_local std::vector<char> bytes;
+  slices.clear();
+  if (!message.Dump(&slices).ok()) return {};
+  if (bytes.size() < message.Length()) bytes.resize(message.Length());
+  size_t size = 0;
+  for (const grpc::Slice& slice : slices) {
+    std::ranges::copy(slice, bytes.begin() + static_cast<std::ptrdiff_t>(size));
+    size += slice.size();
+  }
+  slices.clear();
+  return {bytes.data(), size};
+}
+
+grpc::ByteBuffer ToBytes(const v1::CoordinatorMessage& message) {
+  grpc::ByteBuffer bytes;
+  bool is_own = false;
+  // Fails for messages of 2 GiB alone.
+  grpc::SerializationTraits<v1::CoordinatorMessage>::Serialize(message, &bytes, &is_own);
+  return bytes;
+}
+
 }  // namespace
 
-class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage> {
+class WorkReactor : public WorkerSessions::Stream {
  public:
   WorkReactor(WorkerSessions* sessions, SessionId session, grpc::CallbackServerContext* context)
       : sessions_(sessions), session_(session), context_(context) {}
@@ -54,7 +85,7 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
       EndLocked(absl::ResourceExhaustedError("the worker does not read its messages"));
       return;
     }
-    outgoing_.push_back(message);
+    outgoing_.push_back(ToBytes(message));
     if (!writing_) WriteLocked();
   }
 
@@ -66,7 +97,8 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
   void OnReadDone(bool ok) override {
     if (!ok) return End(absl::OkStatus());
     if (!IsOpen()) return;
-    const absl::Status status = Handle(incoming_);
+    const absl::Status status = Handle(BytesOf(incoming_));
+    incoming_.Clear();
     if (!status.ok()) return End(status);
     std::lock_guard lock(mu_);
     if (!ending_) StartRead(&incoming_);
@@ -95,21 +127,22 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
 
  private:
   // Turns a message into an event. A status that is not OK ends the stream.
-  absl::Status Handle(v1::WorkerMessage& message) {
-    if (greeted_ != (message.message_case() != v1::WorkerMessage::kHello)) {
-      return absl::InvalidArgumentError("the first message, and no other, must be hello");
-    }
-    if (message.has_hello()) {
-      greeted_ = true;
-      const v1::Hello& hello = message.hello();
-      ServerLog().info("session={} worker connected host={} process={} threads={}", session_,
-                       hello.host().substr(0, 256), hello.process_id(), hello.threads());
-    }
+  absl::Status Handle(std::string_view message) {
     const bool is_timed = num_messages_++ % kMessagesPerTiming == 0;
     const int64_t begin_ns = is_timed ? ThreadNanoseconds() : 0;
     absl::StatusOr<Event> event = EventOf(session_, message, sessions_->with_digests_);
     if (is_timed) sessions_->decode_ns_ += kMessagesPerTiming * (ThreadNanoseconds() - begin_ns);
     if (!event.ok()) return event.status();
+    const auto* const connected = std::get_if<WorkerConnectedEvent>(&*event);
+    if (greeted_ == (connected != nullptr)) {
+      return absl::InvalidArgumentError("the first message, and no other, must be hello");
+    }
+    if (connected != nullptr) {
+      greeted_ = true;
+      const v1::Hello& hello = connected->hello;
+      ServerLog().info("session={} worker connected host={} process={} threads={}", session_,
+                       hello.host().substr(0, 256), hello.process_id(), hello.threads());
+    }
     sessions_->post_(*std::move(event));
     return absl::OkStatus();
   }
@@ -146,12 +179,12 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
   WorkerSessions* const sessions_;
   const SessionId session_;
   grpc::CallbackServerContext* const context_;
-  v1::WorkerMessage incoming_;
+  grpc::ByteBuffer incoming_;
   bool greeted_ = false;      // reading side only
   int64_t num_messages_ = 0;  // reading side only
 
   std::mutex mu_;  // guards all below
-  std::deque<v1::CoordinatorMessage> outgoing_;  // front: being written, if writing_
+  std::deque<grpc::ByteBuffer> outgoing_;  // front: being written, if writing_
   absl::Status status_;
   bool writing_ = false;
   bool cancelled_ = false;
@@ -160,8 +193,7 @@ class WorkReactor : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordi
   bool finished_ = false;
 };
 
-grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* WorkerSessions::Accept(
-    grpc::CallbackServerContext* context) {
+WorkerSessions::Stream* WorkerSessions::Accept(grpc::CallbackServerContext* context) {
   std::lock_guard lock(mu_);
   const SessionId session = next_session_++;
   auto* const reactor = new WorkReactor(this, session, context);

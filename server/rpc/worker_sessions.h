@@ -8,6 +8,7 @@
 #include <map>
 #include <mutex>
 
+#include <grpcpp/support/byte_buffer.h>
 #include <grpcpp/support/server_callback.h>
 
 #include "absl/status/status.h"
@@ -21,14 +22,16 @@ class WorkReactor;
 // Threads: all methods from any thread.
 class WorkerSessions {
  public:
+  // v1::WorkerMessages come and v1::CoordinatorMessages go as bytes: a delta's payload is decoded
+  // where it lies.
+  using Stream = grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>;
   using Post = std::function<void(Event)>;
   // with_digests: deltas come with what audits compare, taken on the stream's own thread.
   explicit WorkerSessions(Post post, bool with_digests = false)
       : post_(std::move(post)), with_digests_(with_digests) {}
 
   // The reactor of a new stream. It deletes itself.
-  grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Accept(
-      grpc::CallbackServerContext* context);
+  Stream* Accept(grpc::CallbackServerContext* context);
 
   // Effects; never block. Unknown sessions are ignored: their stream has ended.
   void Send(SessionId session, const v1::CoordinatorMessage& message);

@@ -77,7 +77,7 @@ bool Converse(SimulatedFarm& farm, SessionId session, std::string_view input) {
     if (message->has_filtered()) {
       message->mutable_filtered()->set_checksum(ChecksumOf(message->filtered()));
     }
-    absl::StatusOr<Event> event = EventOf(session, *message, true);
+    absl::StatusOr<Event> event = EventOf(session, message->SerializeAsString(), true);
     if (!event.ok() || !farm.Post(*std::move(event)).status.ok()) return false;
     if (farm.workers[session].closed) return false;
     if (i == 0) OfferWindow(farm);

@@ -73,11 +73,11 @@ TEST(WatchHub, RefusesMoreWatchesThanItHolds) {
   server->Shutdown(std::chrono::system_clock::now());
 }
 
-class WorkOnly final : public v1::WorkerService::CallbackService {
+class WorkOnly final
+    : public v1::WorkerService::WithRawCallbackMethod_Work<v1::WorkerService::Service> {
  public:
   explicit WorkOnly(WorkerSessions& sessions) : sessions_(sessions) {}
-  grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage>* Work(
-      grpc::CallbackServerContext* context) override {
+  WorkerSessions::Stream* Work(grpc::CallbackServerContext* context) override {
     return sessions_.Accept(context);
   }
 
@@ -111,9 +111,11 @@ TEST(WorkerSessions, AnEndedStreamGoesThoughItsWorkerDoesNotRead) {
   for (int i = 0; i < 3; ++i) sessions.Send(session, down);
   sessions.End(session, absl::InvalidArgumentError("a reason"));
   message.mutable_heartbeat()->add_leases()->set_id(1);
-  stream->Write(message);
+  // It may be that nobody takes it, and it waits until the stream is cancelled.
+  const auto late = std::async(std::launch::async, [&] { stream->Write(message); });
   sessions.Pump(Now().monotonic_ms + 60000);
   gone.get_future().wait();
+  late.wait();
   EXPECT_EQ(heartbeats, 0) << "what comes after the end counts no more";
   context.TryCancel();
   server->Shutdown(std::chrono::system_clock::now());
