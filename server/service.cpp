@@ -18,6 +18,7 @@
 #include "server/http/http_server.h"
 #include "server/job_saver.h"
 #include "server/log.h"
+#include "server/memory/large_blocks.h"
 #include "server/picture/filter_desk.h"
 #include "server/picture/picture_service.h"
 #include "server/restore.h"
@@ -378,6 +379,7 @@ absl::Status Service::Impl::Start(const ServiceOptions& options) {
         ServerLog().warn("{} streams cancelled: their clients do not read (--write-deadline)", cut);
       }
       host_->Post(TickEvent{IngestLoad()});
+      TrimLargeBlocks();
     }
   });
   return absl::OkStatus();

@@ -17,7 +17,8 @@ namespace tessera {
 absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message,
                               bool with_digests = false);
 
-// The same of a v1::WorkerMessage as it came over the wire: a delta's payload is read where it lies.
+// The same of a v1::WorkerMessage as it came over the wire: a delta's payload is read where it
+// lies.
 absl::StatusOr<Event> EventOf(SessionId session, std::string_view message,
                               bool with_digests = false);
 
