@@ -9,19 +9,24 @@
 #include <deque>
 #include <fstream>
 #include <mutex>
+#include <set>
 
 #include "tessera/v1/worker.grpc.pb.h"
 
 namespace tessera {
 namespace {
 
+class Session;
+
 struct Plan {
   int64_t num_leases = 0, num_tiles = 0, num_passes = 1;
   int tile_size = 0, ahead = 0;
+  std::atomic<int64_t> num_open = 0;  // leases of the rounds that have begun
   std::atomic<int64_t> handed_out = 0;
   std::atomic<int64_t> received = 0;
   std::mutex mutex;
   std::condition_variable all_received;
+  std::set<Session*> sessions;  // guarded by mutex
 };
 
 v1::Lease LeaseOf(const Plan& plan, int64_t index) {
@@ -39,7 +44,15 @@ v1::Lease LeaseOf(const Plan& plan, int64_t index) {
 
 class Session : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::CoordinatorMessage> {
  public:
-  explicit Session(Plan* plan) : plan_(plan) { StartRead(&incoming_); }
+  explicit Session(Plan* plan) : plan_(plan) {
+    const std::lock_guard lock(plan->mutex);
+    plan->sessions.insert(this);
+    StartRead(&incoming_);
+  }
+
+  void Begin() {
+    for (int i = 0; i < plan_->ahead; ++i) HandOut();
+  }
 
   void OnReadDone(bool ok) override {
     if (!ok) {
@@ -47,9 +60,11 @@ class Session : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordinato
       return;
     }
     if (incoming_.has_hello()) {
-      for (int i = 0; i < plan_->ahead; ++i) HandOut();
+      v1::CoordinatorMessage welcome;
+      welcome.mutable_welcome();
+      Queue(std::move(welcome));
     } else if (incoming_.has_delta()) {
-      if (++plan_->received == plan_->num_leases) {
+      if (++plan_->received % plan_->num_leases == 0) {
         const std::lock_guard lock(plan_->mutex);
         plan_->all_received.notify_all();
       }
@@ -62,15 +77,27 @@ class Session : public grpc::ServerBidiReactor<v1::WorkerMessage, v1::Coordinato
     is_writing_ = false;
     if (ok) WriteNext();
   }
-  void OnDone() override { delete this; }
+  void OnDone() override {
+    {
+      const std::lock_guard lock(plan_->mutex);
+      plan_->sessions.erase(this);
+    }
+    delete this;
+  }
 
  private:
   void HandOut() {
-    const int64_t index = plan_->handed_out++;
-    if (index >= plan_->num_leases) return;
+    int64_t index = plan_->handed_out;
+    do {
+      if (index >= plan_->num_open) return;
+    } while (!plan_->handed_out.compare_exchange_weak(index, index + 1));
+    v1::CoordinatorMessage message;
+    *message.mutable_lease() = LeaseOf(*plan_, index);
+    Queue(std::move(message));
+  }
+  void Queue(v1::CoordinatorMessage message) {
     const std::lock_guard lock(mutex_);
-    queue_.emplace_back();
-    *queue_.back().mutable_lease() = LeaseOf(*plan_, index);
+    queue_.push_back(std::move(message));
     if (!is_writing_) WriteNext();
   }
   void WriteNext() {
@@ -96,6 +123,18 @@ class Service : public v1::WorkerService::CallbackService {
       grpc::CallbackServerContext*) override {
     return new Session(plan_);
   }
+  grpc::ServerUnaryReactor* ListWorkers(grpc::CallbackServerContext* context,
+                                        const v1::ListWorkersRequest*,
+                                        v1::ListWorkersResponse*) override {
+    {
+      const std::lock_guard lock(plan_->mutex);
+      plan_->num_open += plan_->num_leases;
+      for (Session* const session : plan_->sessions) session->Begin();
+    }
+    grpc::ServerUnaryReactor* const reactor = context->DefaultReactor();
+    reactor->Finish(grpc::Status::OK);
+    return reactor;
+  }
 
  private:
   Plan* plan_;
@@ -103,8 +142,8 @@ class Service : public v1::WorkerService::CallbackService {
 
 }  // namespace
 
-void RunBareStreamServer(const std::string& port_file, int64_t num_leases, int64_t num_tiles,
-                         int64_t spp, int tile_size, int ahead) {
+void RunBareStreamServer(const std::string& port_file, int num_rounds, int64_t num_leases,
+                         int64_t num_tiles, int64_t spp, int tile_size, int ahead) {
   Plan plan;
   plan.num_leases = num_leases;
   plan.num_tiles = num_tiles;
@@ -119,7 +158,7 @@ void RunBareStreamServer(const std::string& port_file, int64_t num_leases, int64
   const std::unique_ptr<grpc::Server> server = builder.BuildAndStart();
   std::ofstream(port_file) << "GRPC=" << port << "\n";
   std::unique_lock lock(plan.mutex);
-  plan.all_received.wait(lock, [&] { return plan.received >= num_leases; });
+  plan.all_received.wait(lock, [&] { return plan.received >= num_rounds * num_leases; });
   lock.unlock();
   server->Shutdown(std::chrono::system_clock::now());
 }

@@ -80,7 +80,9 @@ class SyntheticWorker::Reactor
 
   void OnReadDone(bool ok) override {
     if (!ok) return;
-    if (incoming_.has_job()) {
+    if (incoming_.has_welcome()) {
+      ++counters_->welcomes;
+    } else if (incoming_.has_job()) {
       v1::WorkerMessage ready;
       ready.mutable_scene_ready()->set_job(incoming_.job().job());
       Queue(std::move(ready));
@@ -106,6 +108,11 @@ class SyntheticWorker::Reactor
     is_done_ = true;
     done_.notify_all();
   }
+  void Beat() {
+    const std::lock_guard lock(mutex_);
+    queue_.push_back(HeartbeatLocked());
+    if (!is_writing_) WriteNext();
+  }
   void CancelAndWait() {
     context_.TryCancel();
     std::unique_lock lock(mutex_);
@@ -123,7 +130,7 @@ class SyntheticWorker::Reactor
     const auto now = std::chrono::steady_clock::now();
     if (now - last_heartbeat_ > kHeartbeatInterval) {
       last_heartbeat_ = now;
-      outgoing_ = Heartbeat();
+      outgoing_ = HeartbeatLocked();
     } else {
       outgoing_ = std::move(queue_.front());
       queue_.pop_front();
@@ -133,7 +140,7 @@ class SyntheticWorker::Reactor
   }
 
   // Renews the leases whose deltas wait for the link.
-  v1::WorkerMessage Heartbeat() const {
+  v1::WorkerMessage HeartbeatLocked() const {
     v1::WorkerMessage message;
     v1::Heartbeat& heartbeat = *message.mutable_heartbeat();
     for (const v1::WorkerMessage& waiting : queue_) {
@@ -175,6 +182,8 @@ SyntheticWorker::SyntheticWorker(const std::shared_ptr<grpc::Channel>& channel, 
   }
   reactor_ = std::make_unique<Reactor>(stub_.get(), std::move(message), stock, counters);
 }
+
+void SyntheticWorker::Beat() { reactor_->Beat(); }
 
 SyntheticWorker::~SyntheticWorker() { reactor_->CancelAndWait(); }
 

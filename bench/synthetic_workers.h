@@ -39,6 +39,7 @@ class DeltaStock {
 };
 
 struct LoadCounters {
+  std::atomic<int64_t> welcomes = 0;
   std::atomic<int64_t> deltas = 0;
   std::atomic<int64_t> bytes = 0;
   std::atomic<int64_t> leases = 0;
@@ -51,6 +52,9 @@ class SyntheticWorker {
   SyntheticWorker(const std::shared_ptr<grpc::Channel>& channel, int index,
                   const std::string& version, const DeltaStock& stock, LoadCounters* counters);
   ~SyntheticWorker();
+
+  // Sends a heartbeat: one that has nothing to send is given nothing after the leases' time.
+  void Beat();
 
  private:
   class Reactor;
