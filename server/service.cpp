@@ -277,8 +277,10 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
             *out = *std::move(record);
             return true;
           },
-      .added = [this](JobId job) { pictures_->AddWatcher(job); },
-      .removed = [this](JobId job) { pictures_->RemoveWatcher(job); }});
+      .added = [this](JobId job, const auto& region) { pictures_->AddWatcher(job, region); },
+      .removed = [this](JobId job, const auto& region) {
+        pictures_->RemoveWatcher(job, region);
+      }});
   host_ = std::make_unique<CoordinatorHost>(config_, *this);
   // Of a server without a port the only client is the program around it.
   limits_ = std::make_unique<ClientLimits>(

@@ -1,6 +1,7 @@
 #include "server/http/http_server.h"
 
 #include <future>
+#include <optional>
 #include <thread>
 
 #include <google/protobuf/util/json_util.h>
@@ -193,7 +194,9 @@ absl::Status HttpServer::Impl::SendPicture(const httplib::Request& request,
   if (!query.ok()) return query.status();
 
   std::promise<std::shared_ptr<const Picture>> promise;
-  pictures_.Fetch(*ParseJobName(job->name()), false,
+  std::optional<PixelRect> part;
+  if (query->region != RegionOf(job->settings())) part = query->region;
+  pictures_.Fetch(*ParseJobName(job->name()), part, false,
                   [&](std::shared_ptr<const Picture> picture) { promise.set_value(picture); });
   const std::shared_ptr<const Picture> picture = promise.get_future().get();
   if (picture == nullptr) return absl::UnavailableError("the job is gone or the server stops");

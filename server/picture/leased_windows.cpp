@@ -77,6 +77,13 @@ bool LeasedWindows::empty() const {
   return out_.empty() && answers_.empty();
 }
 
+bool LeasedWindows::Meets(const Views& views) const {
+  std::lock_guard lock(mu_);
+  return std::ranges::any_of(out_, [&](const auto& out) { return views.Meets(out.second); }) ||
+         std::ranges::any_of(answers_,
+                             [&](const Answer& answer) { return views.Meets(answer.window); });
+}
+
 void LeasedWindows::NoteOwnSpeed(int64_t pixels, double cpu_seconds) {
   if (pixels > 0) desk_.NoteOwnSpeed(pixels, cpu_seconds);
 }

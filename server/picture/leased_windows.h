@@ -13,6 +13,7 @@
 
 #include "core/denoise/denoiser.h"
 #include "server/coordinator/event.h"
+#include "server/picture/views.h"
 
 namespace tessera {
 
@@ -55,6 +56,8 @@ class LeasedWindows {
   std::vector<PixelRect> AwaitOrTakeBack(int num_threads);
   // Nothing is out and nothing has come.
   bool empty() const;
+  // Whether something is out, or has come, that shares a pixel with `views`.
+  bool Meets(const Views& views) const;
   void NoteOwnSpeed(int64_t pixels, double cpu_seconds);
   void ReportLie(const std::string& host);
 

@@ -11,7 +11,6 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
 #include "core/base/tile_grid.h"
-#include "core/denoise/window_codec.h"
 #include "core/image/layers.h"
 #include "core/statistics/calibration.h"
 #include "server/coordinator/job_settings.h"
@@ -21,9 +20,7 @@ namespace tessera {
 namespace {
 
 constexpr double kLeastError = 1e-12;  // what stands for none, as 0 means unknown
-constexpr int kLeasedSidePx = 256;     // of windows that workers filter
-constexpr int kLeasedHaloMaxPx = 128;  // kFilterInputPixelsMax
-constexpr int kResolvedPartPx = 128;   // of a unit of work without a large halo
+constexpr int kResolvedPartPx = 128;  // of a unit of work without a large halo
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
 uint64_t NextSerial() {
@@ -40,12 +37,6 @@ std::vector<int64_t> Reached(const TileGrid& grid, const std::vector<int64_t>& t
     }
   }
   return {reached.begin(), reached.end()};
-}
-
-// The smallest rectangle around both.
-PixelRect Around(const PixelRect& a, const PixelRect& b) {
-  return {std::min(a.x_begin, b.x_begin), std::min(a.y_begin, b.y_begin),
-          std::max(a.x_end, b.x_end), std::max(a.y_end, b.y_end)};
 }
 
 }  // namespace
@@ -83,6 +74,7 @@ Picture::Picture(const v1::JobSettings& settings)
       grid_(RegionOf(settings), settings.tile_size()),
       planes_(grid_.region()),
       filtered_(grid_.region()),
+      shown_(static_cast<size_t>(grid_.num_tiles())),
       row_errors_(static_cast<size_t>(grid_.region().height())) {
   absl::StatusOr<std::unique_ptr<Denoiser>> denoiser = MakeDenoiser(settings.denoiser());
   TESSERA_CHECK(denoiser.ok());
@@ -101,38 +93,42 @@ Picture::Picture(const v1::JobSettings& settings)
 }
 
 double Picture::Update(const std::vector<int64_t>& changed, const TileSource& source,
-                       DenoiseQuality quality, int num_threads) {
+                       DenoiseQuality quality, int num_threads, const Views& views) {
   if (quality == DenoiseQuality::kFinal) {
     return Absorb(changed, source, num_threads) +
-           Refine(std::numeric_limits<int64_t>::max(), num_threads);
+           Refine(std::numeric_limits<int64_t>::max(), num_threads, nullptr, views);
   }
-  std::vector<int64_t> resolved;
-  double cpu_seconds = TakeTiles(changed, source, num_threads, &resolved);
-  if (quality != quality_) LeaveToRefine(StalePixels(resolved, quality_));
+  double cpu_seconds = changed.empty() ? 0 : TakeTiles(changed, source, num_threads);
   std::vector<int64_t> seen;
-  for (const auto& [tile, stale] : StalePixels(resolved, quality)) {
+  for (auto it = rough_.begin(); it != rough_.end();) {
+    auto& [tile, rough] = *it;
+    const PixelRect window = grid_.WindowOf(tile);
+    if (!rough.is_stale || !views.Meets(window)) {
+      ++it;
+      continue;
+    }
     seen.push_back(tile);
-    // The preview takes whole tiles.
-    if (quality != quality_) LeaveToRefine({{tile, grid_.WindowOf(tile)}});
+    rough = {window};  // the preview takes whole tiles
+    it = quality == quality_ ? rough_.erase(it) : std::next(it);
   }
-  cpu_seconds += FilterWindows(JoinTiles(grid_, seen), quality, num_threads);
+  if (!seen.empty()) cpu_seconds += FilterWindows(JoinTiles(grid_, seen), quality, num_threads);
   std::unique_lock lock(mu_);
+  NoteShownLocked(views);
   is_refined_ = IsWholeLocked(nullptr);
-  ++version_;
+  if (!seen.empty() || !changed.empty()) ++version_;
   return cpu_seconds;
 }
 
 double Picture::Absorb(const std::vector<int64_t>& changed, const TileSource& source,
                        int num_threads) {
-  std::vector<int64_t> resolved;
-  const double cpu_seconds = TakeTiles(changed, source, num_threads, &resolved);
-  LeaveToRefine(StalePixels(resolved, quality_));
+  const double cpu_seconds = changed.empty() ? 0 : TakeTiles(changed, source, num_threads);
   std::unique_lock lock(mu_);
   is_refined_ = false;
   return cpu_seconds;
 }
 
-double Picture::Refine(int64_t pixels_max, int num_threads, LeasedWindows* leased) {
+double Picture::Refine(int64_t pixels_max, int num_threads, LeasedWindows* leased,
+                       const Views& views, const Views& first) {
   DropDistrusted();
   double cpu_seconds = 0;
   bool has_news = false;
@@ -140,33 +136,80 @@ double Picture::Refine(int64_t pixels_max, int num_threads, LeasedWindows* lease
     std::vector<LeasedWindows::Answer> answers = leased->Take();
     has_news = !answers.empty();
     cpu_seconds += TakeAnswers(std::move(answers), num_threads, *leased);
+  }
+  Slice slice;
+  TakeSlice(first, pixels_max, &slice);
+  if (leased != nullptr && views.is_whole()) {
     cpu_seconds += LeaseWindows(pixels_max, num_threads, *leased);
-    if (rough_.empty()) AwaitLeased(num_threads, *leased);
+    if (rough_.empty() && slice.pixels == 0) AwaitLeased(num_threads, *leased);
   }
-  std::vector<int64_t> whole;
-  std::vector<PixelRect> slice;
-  int64_t pixels = 0;
-  while (!rough_.empty() && pixels < pixels_max) {
-    const auto& [tile, part] = *rough_.begin();
-    pixels += part.area();
-    part == grid_.WindowOf(tile) ? whole.push_back(tile) : slice.push_back(part);
-    rough_.erase(rough_.begin());
+  TakeSlice(views, pixels_max, &slice);
+  if (slice.pixels > 0) {
+    std::ranges::sort(slice.whole_tiles);
+    std::ranges::copy(JoinTiles(grid_, slice.whole_tiles), std::back_inserter(slice.windows));
+    const double own_seconds = FilterWindows(slice.windows, quality_, num_threads);
+    if (leased != nullptr) leased->NoteOwnSpeed(slice.pixels, own_seconds);
+    cpu_seconds += own_seconds;
   }
-  std::ranges::copy(JoinTiles(grid_, whole), std::back_inserter(slice));
-  const double own_seconds = FilterWindows(slice, quality_, num_threads);
-  if (leased != nullptr) leased->NoteOwnSpeed(pixels, own_seconds);
-  cpu_seconds += own_seconds;
   std::unique_lock lock(mu_);
+  for (const int64_t tile : slice.tiles) shown_[static_cast<size_t>(tile)] = 1;
+  if (IsRefinedLocked(views, leased)) NoteShownLocked(views);
   is_refined_ = IsWholeLocked(leased);
-  if (pixels == 0 && !has_news && !is_refined_) return cpu_seconds;  // it waits for workers
-  if (version_ > 0 || is_refined_) ++version_;
+  if (slice.pixels > 0 || has_news || is_refined_) ++version_;  // else it waits for workers
   return cpu_seconds;
 }
 
+void Picture::TakeSlice(const Views& views, int64_t pixels_max, Slice* slice) {
+  for (auto it = rough_.begin(); it != rough_.end() && slice->pixels < pixels_max;) {
+    const auto& [tile, rough] = *it;
+    const PixelRect window = grid_.WindowOf(tile);
+    if (!views.Meets(window)) {
+      ++it;
+      continue;
+    }
+    slice->pixels += rough.part.area();
+    slice->tiles.push_back(tile);
+    rough.part == window ? slice->whole_tiles.push_back(tile)
+                         : slice->windows.push_back(rough.part);
+    it = rough_.erase(it);
+  }
+}
+
+bool Picture::IsRefined(const Views& views, const LeasedWindows* leased) const {
+  std::shared_lock lock(mu_);
+  return IsRefinedLocked(views, leased);
+}
+
+bool Picture::IsRefinedLocked(const Views& views, const LeasedWindows* leased) const {
+  if (views.is_whole()) return IsWholeLocked(leased);
+  if (is_distrusted_ || (leased != nullptr && leased->Meets(views))) return false;
+  return std::ranges::none_of(
+      rough_, [&](const auto& rough) { return views.Meets(grid_.WindowOf(rough.first)); });
+}
+
+void Picture::NoteShownLocked(const Views& views) {
+  for (int64_t tile = 0; tile < grid_.num_tiles(); ++tile) {
+    if (views.Meets(grid_.WindowOf(tile))) shown_[static_cast<size_t>(tile)] = 1;
+  }
+}
+
+bool Picture::HasShown(const std::optional<PixelRect>& region) const {
+  std::shared_lock lock(mu_);
+  return std::ranges::all_of(grid_.TilesIn(region.value_or(grid_.region())),
+                             [&](int64_t tile) { return shown_[static_cast<size_t>(tile)] != 0; });
+}
+
+// A tile that meets `views` is filtered whole, so what reaches it from there counts.
+bool Picture::Reaches(int64_t tile, const Views& views, DenoiseQuality quality) const {
+  const FrameFilter& filter = quality == quality_ ? *filter_ : *preview_filter_;
+  return views.Meets(grid_.WindowOf(tile).Expand(filter.reach_px() + grid_.tile_size()));
+}
+
 double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource& source,
-                          int num_threads, std::vector<int64_t>* resolved) {
-  double cpu_seconds = Resolve(changed, source, num_threads, resolved);
-  const std::vector<int64_t> reached = Reached(grid_, *resolved, kCalibrationRadiusPx);
+                          int num_threads) {
+  std::vector<int64_t> resolved;
+  double cpu_seconds = Resolve(changed, source, num_threads, &resolved);
+  const std::vector<int64_t> reached = Reached(grid_, resolved, kCalibrationRadiusPx);
   const std::vector<PixelRect> moved = SplitWindows(JoinTiles(grid_, reached), kResolvedPartPx);
   {
     std::unique_lock lock(variance_mu_);
@@ -174,9 +217,13 @@ double Picture::TakeTiles(const std::vector<int64_t>& changed, const TileSource&
                                [&](size_t i) { CalibrateVariance(moved[i], &planes_); });
   }
   ++revision_;
-  for (const int64_t tile : *resolved) {
+  for (const int64_t tile : resolved) {
     filter_->Invalidate(grid_.WindowOf(tile));
     preview_filter_->Invalidate(grid_.WindowOf(tile));
+  }
+  LeaveToRefine(StalePixels(resolved, quality_));
+  for (const auto& [tile, part] : StalePixels(resolved, DenoiseQuality::kPreview)) {
+    if (const auto it = rough_.find(tile); it != rough_.end()) it->second.is_stale = true;
   }
   return cpu_seconds;
 }
@@ -198,8 +245,8 @@ std::map<int64_t, PixelRect> Picture::StalePixels(const std::vector<int64_t>& ti
 
 void Picture::LeaveToRefine(const std::map<int64_t, PixelRect>& stale) {
   for (const auto& [tile, part] : stale) {
-    const auto [it, is_new] = rough_.try_emplace(tile, part);
-    if (!is_new) it->second = Around(it->second, part);
+    const auto [it, is_new] = rough_.try_emplace(tile, Rough{part});
+    if (!is_new) it->second.part = Around(it->second.part, part);
   }
 }
 
@@ -211,101 +258,6 @@ void Picture::LeaveWindowToRefine(const PixelRect& window) {
   for (const int64_t tile : grid_.TilesIn(window)) {
     LeaveToRefine({{tile, window.Intersect(grid_.WindowOf(tile))}});
   }
-}
-
-void Picture::Distrust(const std::string& host) {
-  std::unique_lock lock(mu_);
-  if (filtered_by_.erase(host) == 0) return;
-  is_distrusted_ = true;
-  is_refined_ = false;
-}
-
-void Picture::DropDistrusted() {
-  bool is_distrusted = false;
-  {
-    std::unique_lock lock(mu_);
-    std::swap(is_distrusted, is_distrusted_);
-  }
-  if (is_distrusted) LeaveWindowToRefine(grid_.region());
-}
-
-double Picture::TakeAnswers(std::vector<LeasedWindows::Answer> answers, int num_threads,
-                            LeasedWindows& leased) {
-  double cpu_seconds = 0;
-  std::vector<PixelRect> taken;
-  for (const LeasedWindows::Answer& answer : answers) {
-    if (answer.planes == nullptr) {
-      LeaveWindowToRefine(answer.window);
-      continue;
-    }
-    if (answer.is_audited) {
-      const PixelRect windows[] = {answer.window};
-      FilteredPlanes own(answer.window);
-      cpu_seconds += FilterOnly(windows, quality_, num_threads,
-                                [&](const FilteredPlanes& part) { CopyPixels(part, &own); });
-      if (!SameBits(own, *answer.planes)) leased.ReportLie(answer.host);
-      std::unique_lock lock(mu_);
-      CopyPixels(own, &filtered_);
-    } else {
-      std::unique_lock lock(mu_);
-      CopyPixels(*answer.planes, &filtered_);
-      filtered_by_.insert(answer.host);
-    }
-    taken.push_back(answer.window);
-  }
-  if (!taken.empty()) cpu_seconds += JudgeWindows(taken, num_threads);
-  return cpu_seconds;
-}
-
-PixelRect Picture::TakeLastWindow() {
-  const int64_t columns = grid_.num_columns();
-  const int64_t side = std::max<int64_t>(1, kLeasedSidePx / grid_.tile_size());
-  const int64_t last = rough_.rbegin()->first;
-  const int64_t row_begin = last / columns / side * side;
-  const int64_t column_begin = last % columns / side * side;
-  PixelRect window;
-  for (int64_t row = row_begin; row < row_begin + side; ++row) {
-    for (int64_t column = column_begin; column < std::min(column_begin + side, columns); ++column) {
-      const auto found = rough_.find(row * columns + column);
-      if (found == rough_.end()) continue;
-      window = window.empty() ? found->second : Around(window, found->second);
-      rough_.erase(found);
-    }
-  }
-  return window;
-}
-
-// Windows come from the frame's end, what is filtered here from its begin.
-double Picture::LeaseWindows(int64_t pixels_here, int num_threads, LeasedWindows& leased) {
-  const int halo_px = denoiser_->halo_px(quality_);
-  if (halo_px > kLeasedHaloMaxPx) return 0;
-  int64_t pixels = 0;
-  for (const auto& [tile, part] : rough_) pixels += part.area();
-  std::vector<FilterOffer> offers;
-  for (int64_t room = leased.Room(); room > 0 && !rough_.empty(); --room) {
-    if (!leased.Pays(pixels, pixels_here, num_threads)) break;
-    FilterOffer& offer = offers.emplace_back();
-    offer.window = TakeLastWindow();
-    offer.frame = grid_.region();
-    offer.bounds = offer.window.Expand(halo_px).Intersect(grid_.region());
-    offer.denoiser = std::string(denoiser_->name());
-    offer.quality = settings_.quality() == v1::QUALITY_PREVIEW ? v1::QUALITY_PREVIEW
-                                                               : v1::QUALITY_FINAL;
-    offer.revision = revision_;
-    pixels -= offer.window.area();
-  }
-  const double cpu_seconds = ParallelFor(offers.size(), num_threads, [&](size_t i) {
-    offers[i].input =
-        std::make_shared<const std::string>(EncodeFilterInput(planes_, offers[i].bounds));
-  });
-  for (FilterOffer& offer : offers) leased.Offer(std::move(offer));
-  return cpu_seconds;
-}
-
-// Nothing is left to do here: what is out is waited for, at most for as long as doing it here takes
-// (so at worst twice the time of the better choice), then done here.
-void Picture::AwaitLeased(int num_threads, LeasedWindows& leased) {
-  for (const PixelRect& window : leased.AwaitOrTakeBack(num_threads)) LeaveWindowToRefine(window);
 }
 
 double Picture::FilterWindows(const std::vector<PixelRect>& windows, DenoiseQuality quality,
@@ -404,6 +356,20 @@ bool Picture::is_refined() const {
 double Picture::spp() const {
   std::shared_lock lock(mu_);
   return static_cast<double>(num_samples_) / static_cast<double>(grid_.region().area());
+}
+
+double Picture::spp(const PixelRect& region) const {
+  const PixelRect part = region.Intersect(grid_.region());
+  if (part.empty()) return 0;
+  int64_t samples = 0;
+  std::shared_lock lock(mu_);
+  for (int y = part.y_begin; y < part.y_end; ++y) {
+    const auto first = static_cast<size_t>(planes_.bounds.IndexOf(part.x_begin, y));
+    for (size_t i = first; i < first + static_cast<size_t>(part.width()); ++i) {
+      samples += int64_t{planes_.samples[i]};
+    }
+  }
+  return static_cast<double>(samples) / static_cast<double>(part.area());
 }
 
 double Picture::estimated_error() const {

@@ -1,7 +1,8 @@
 // The served picture of one job: planes resolved from its film, and the filtered picture, kept up
 // to date tile by tile. Previews may be filtered more cheaply than the job asks for. Once refined,
 // incremental equals from scratch, bit for bit, however previews went: what a changed tile can
-// reach, and what is at preview quality, is filtered again, from what the filter has kept.
+// reach, and what is at preview quality, is filtered again, from what the filter has kept. Of parts
+// that somebody looks at these alone are filtered, to the bits of the same parts of the whole.
 #pragma once
 
 #include <cstdint>
@@ -9,6 +10,7 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <optional>
 #include <set>
 #include <shared_mutex>
 #include <span>
@@ -23,6 +25,7 @@
 #include "core/image/image.h"
 #include "server/coordinator/sample_plan.h"
 #include "server/picture/leased_windows.h"
+#include "server/picture/views.h"
 #include "tessera/v1/job.pb.h"
 
 namespace tessera {
@@ -35,31 +38,43 @@ class Picture {
 
   // Gives the folded statistics of a tile as they are now.
   using TileSource = std::function<TileStatistics(int64_t tile)>;
-  // Takes the tiles `changed` from `source`, called on num_threads, and filters all that they
-  // reach: kPreview at preview quality; kFinal at the job's quality, with all that previews have
-  // left. Tiles without samples are passed over. Parts of the picture are served as they become
-  // ready. Returns the seconds of CPU that it took, all threads together.
+  // Takes the tiles `changed` from `source`, called on num_threads, and filters of the tiles that
+  // meet `views` all that is not up to date: kPreview at preview quality; kFinal at the job's, with
+  // all that previews have left. Of `changed` those that do not reach `views` may be missing, until
+  // somebody looks at what they reach. Tiles without samples are passed over. Parts of the picture
+  // are served as they become ready. Returns the seconds of CPU that it took, all threads together;
+  // 0 if there was nothing to do.
   double Update(const std::vector<int64_t>& changed, const TileSource& source,
-                DenoiseQuality quality, int num_threads);
+                DenoiseQuality quality, int num_threads, const Views& views = Views::Whole());
   // Update at the job's quality in slices, between which others may have the cores: Absorb takes
-  // the tiles, then each Refine filters about pixels_max pixels, until is_refined(). The same bits
-  // for any slices. Both return seconds of CPU.
+  // the tiles, then each Refine filters about pixels_max pixels, until IsRefined(views): what meets
+  // `first` before the rest of `views`. The same bits for any slices. Both return seconds of CPU.
   double Absorb(const std::vector<int64_t>& changed, const TileSource& source, int num_threads);
-  // leased: windows of it that workers filter meanwhile, the same for all slices of a refinement;
-  // null = none. The same bits with or without, whoever comes back or does not.
-  double Refine(int64_t pixels_max, int num_threads, LeasedWindows* leased = nullptr);
+  // leased: windows of it that workers filter meanwhile, of the whole picture only, the same for
+  // all slices of a refinement; null = none. The same bits with or without, whoever comes back or
+  // does not.
+  double Refine(int64_t pixels_max, int num_threads, LeasedWindows* leased = nullptr,
+                const Views& views = Views::Whole(), const Views& first = {});
+  // Whether what meets `views` shows all tiles taken, at the job's quality. Threads: none while
+  // another method changes the picture.
+  bool IsRefined(const Views& views, const LeasedWindows* leased = nullptr) const;
   // If the host has filtered any of it, has all of it filtered again by the next Refine: the host
   // returned wrong bits. Threads: any.
   void Distrust(const std::string& host);
 
   // The pixels that it has.
   const PixelRect& region() const { return grid_.region(); }
-  // Grows with each Update and, once the picture has been whole, with each Refine; 0 before that.
+  // Whether news in the tile can change what tiles that meet `views` show at `quality`.
+  bool Reaches(int64_t tile, const Views& views, DenoiseQuality quality) const;
+  // Grows with whatever changes what is shown.
   uint64_t version() const;
+  // Whether all of `region` (absent: the picture) has been made once, however long ago.
+  bool HasShown(const std::optional<PixelRect>& region) const;
   // Whether all of it is at the job's quality.
   bool is_refined() const;
-  // Mean samples per pixel that it shows.
+  // Mean samples per pixel that it shows, over what it has of `region`.
   double spp() const;
+  double spp(const PixelRect& region) const;
   // Differs between two pictures of a process.
   uint64_t serial() const { return serial_; }
   // Estimated sqrt(relMSE) of the filtered picture (DESIGN.md), from its own error output;
@@ -74,14 +89,23 @@ class Picture {
                                  const std::vector<std::string>& layers) const;
 
  private:
-  // Absorb; *resolved are those of the changed tiles that have samples.
-  double TakeTiles(const std::vector<int64_t>& changed, const TileSource& source, int num_threads,
-                   std::vector<int64_t>* resolved);
+  // Notes what they have made stale.
+  double TakeTiles(const std::vector<int64_t>& changed, const TileSource& source, int num_threads);
   // The pixels that news in `tiles` can change at `quality`, tile by tile.
   std::map<int64_t, PixelRect> StalePixels(const std::vector<int64_t>& tiles,
                                            DenoiseQuality quality) const;
   // Has `stale` filtered at the job's quality by Refine.
   void LeaveToRefine(const std::map<int64_t, PixelRect>& stale);
+  // The next rough pixels to be filtered here, taken out of rough_ in the order of tiles until they
+  // are pixels_max.
+  struct Slice {
+    std::vector<int64_t> tiles{}, whole_tiles{};
+    std::vector<PixelRect> windows{};  // the parts of the others
+    int64_t pixels = 0;
+  };
+  void TakeSlice(const Views& views, int64_t pixels_max, Slice* slice);
+  // The tiles that meet `views` are shown. Needs mu_.
+  void NoteShownLocked(const Views& views);
   // Windows at workers: takes in what has come, has what is lost filtered here, leases more of what
   // is left to do. Each returns seconds of CPU.
   double TakeAnswers(std::vector<LeasedWindows::Answer> answers, int num_threads,
@@ -93,6 +117,7 @@ class Picture {
   void LeaveWindowToRefine(const PixelRect& window);
   void DropDistrusted();
   bool IsWholeLocked(const LeasedWindows* leased) const;
+  bool IsRefinedLocked(const Views& views, const LeasedWindows* leased) const;
   // Filters `windows`, their rows' errors and the estimate from them.
   double FilterWindows(const std::vector<PixelRect>& windows, DenoiseQuality quality,
                        int num_threads);
@@ -126,13 +151,18 @@ class Picture {
   bool is_refined_ = true;
   int64_t num_samples_ = 0;
   double estimated_error_ = 0;
+  std::vector<char> shown_;  // by tile: whether it has been made once
 
   // Guarded by mu_: the hosts that have filtered windows of it, and whether one of them is banned.
   std::set<std::string> filtered_by_;
   bool is_distrusted_ = false;
 
   // What has to be filtered at the job's quality, by tile; Update's own.
-  std::map<int64_t, PixelRect> rough_;
+  struct Rough {
+    PixelRect part;
+    bool is_stale = false;  // has changed since it was filtered at preview quality
+  };
+  std::map<int64_t, Rough> rough_;
   uint64_t revision_ = 0;  // of the planes; Update's own
   // Each row's sums of FilteredPlanes::relative_error and relative_noise; Update's own.
   struct RowError {

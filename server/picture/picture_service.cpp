@@ -47,8 +47,8 @@ void PictureService::Stop() {
   for (std::thread& thread : threads_) {
     if (thread.joinable()) thread.join();
   }
-  std::vector<Done> waiting;
-  std::vector<std::unique_ptr<Refinement>> ended;  // whose windows are taken back without the lock
+  std::vector<Waiter> waiting;
+  std::vector<std::unique_ptr<Round>> ended;  // whose windows are taken back without the lock
   {
     std::lock_guard lock(mu_);
     for (auto& [id, entry] : entries_) {
@@ -59,21 +59,48 @@ void PictureService::Stop() {
       ended.push_back(std::move(entry.refinement));
     }
   }
-  for (const Done& done : waiting) done(nullptr);
+  for (const Waiter& waiter : waiting) waiter.done(nullptr);
 }
 
 void PictureService::TileChanged(JobId job, int64_t tile) {
   std::lock_guard lock(mu_);
   const auto it = entries_.find(job);
   if (it == entries_.end()) return;
-  it->second.blank = false;
-  if (it->second.picture != nullptr) it->second.changed.insert(tile);
-  if (it->second.watchers > 0) wake_.notify_all();
+  Entry& entry = it->second;
+  entry.blank = false;
+  if (entry.picture != nullptr) {
+    entry.changed.insert(tile);
+    NoteNews(entry, tile, entry.LookedAt());
+  }
+  if (!entry.watchers.empty() && (entry.news || entry.picture == nullptr)) wake_.notify_all();
+}
+
+void PictureService::NoteNews(Entry& entry, int64_t tile, const Views& views) {
+  entry.news |= entry.picture->Reaches(tile, views, DenoiseQuality::kPreview);
+  entry.rough |= entry.picture->Reaches(tile, views, DenoiseQuality::kFinal);
+}
+
+void PictureService::NoteLook(Entry& entry, const Views& views) {
+  if (entry.picture == nullptr) return;
+  for (const int64_t tile : entry.changed) NoteNews(entry, tile, views);
+  // Of this part or another; the next round finds out.
+  entry.rough |= !entry.picture->is_refined();
+}
+
+bool PictureService::Entry::WantsQuality() const {
+  return refinement != nullptr || !refine.empty() || finish ||
+         std::ranges::any_of(waiting, [](const Waiter& waiter) { return waiter.wait; });
+}
+
+Views PictureService::Entry::LookedAt() const {
+  Views views = wanted;
+  for (const Region& region : watchers) views.Add(region);
+  return views;
 }
 
 void PictureService::Evaluate(JobId job) {
   std::lock_guard lock(mu_);
-  entries_[job].refine = true;
+  entries_[job].refine = Views::Whole();
   wake_.notify_all();
 }
 
@@ -94,39 +121,54 @@ void PictureService::Remove(JobId job) {
 void PictureService::Distrust(const std::string& host) {
   std::lock_guard lock(mu_);
   for (auto& [id, entry] : entries_) {
-    if (entry.picture != nullptr) entry.picture->Distrust(host);
+    if (entry.picture == nullptr) continue;
+    entry.picture->Distrust(host);
+    entry.rough |= !entry.picture->is_refined();
   }
   wake_.notify_all();
 }
 
-void PictureService::AddWatcher(JobId job) {
+void PictureService::AddWatcher(JobId job, const Region& region) {
+  if (region.has_value() && region->empty()) return;
   std::lock_guard lock(mu_);
-  ++entries_[job].watchers;
+  Entry& entry = entries_[job];
+  entry.watchers.push_back(region);
+  Views views;
+  views.Add(region);
+  NoteLook(entry, views);
   wake_.notify_all();
 }
 
-void PictureService::RemoveWatcher(JobId job) {
+void PictureService::RemoveWatcher(JobId job, const Region& region) {
   std::lock_guard lock(mu_);
   const auto it = entries_.find(job);
-  if (it != entries_.end() && it->second.watchers > 0) --it->second.watchers;
+  if (it == entries_.end()) return;
+  std::vector<Region>& watchers = it->second.watchers;
+  if (const auto found = std::ranges::find(watchers, region); found != watchers.end()) {
+    watchers.erase(found);
+  }
 }
 
-void PictureService::Fetch(JobId job, bool wait, Done done) {
+void PictureService::Fetch(JobId job, const Region& region, bool wait, Done done) {
   std::shared_ptr<const Picture> ready;
   {
     std::lock_guard lock(mu_);
     if (!stopping_) {
       Entry& entry = entries_[job];
       entry.used_ms = MonotonicMs();
-      const bool is_blank = entry.picture == nullptr || entry.picture->version() == 0 ||
-                            (entry.picture->spp() == 0 && !entry.changed.empty());
+      Views views;
+      views.Add(region);
+      const bool is_blank =
+          entry.picture == nullptr || !entry.picture->HasShown(region) ||
+          (!entry.changed.empty() &&
+           (region ? entry.picture->spp(*region) : entry.picture->spp()) == 0);
       if (wait || is_blank) {
-        entry.refine |= wait;
-        entry.waiting.push_back(std::move(done));
+        entry.waiting.push_back({region, wait, std::move(done)});
         wake_.notify_all();
         return;
       }
-      entry.wanted = true;
+      entry.wanted.Add(views);
+      NoteLook(entry, views);
       wake_.notify_all();
       ready = entry.picture;
     }
@@ -155,9 +197,9 @@ void PictureService::Run(Lane lane) {
 }
 
 std::optional<int64_t> PictureService::DueMs(const Entry& entry) {
-  if (entry.blank || (entry.watchers == 0 && !entry.wanted)) return std::nullopt;
-  if (entry.picture == nullptr || !entry.changed.empty()) return entry.not_before_ms;
-  if (entry.picture->is_refined()) return std::nullopt;
+  if (entry.blank || (entry.watchers.empty() && entry.wanted.empty())) return std::nullopt;
+  if (entry.picture == nullptr || entry.news) return entry.not_before_ms;
+  if (!entry.rough) return std::nullopt;
   return std::max(entry.not_before_ms, entry.refine_at_ms);
 }
 
@@ -185,8 +227,8 @@ JobId PictureService::Choose(Lane lane, int64_t now_ms, int64_t* sleep_ms) const
 }
 
 void PictureService::Abandon(JobId job) {
-  std::vector<Done> waiting;
-  std::unique_ptr<Refinement> ended;  // whose windows are taken back without the lock
+  std::vector<Waiter> waiting;
+  std::unique_ptr<Round> ended;  // whose windows are taken back without the lock
   {
     std::lock_guard lock(mu_);
     const auto it = entries_.find(job);
@@ -198,33 +240,39 @@ void PictureService::Abandon(JobId job) {
     }
     entries_.erase(it);
   }
-  for (const Done& done : waiting) done(nullptr);
+  for (const Waiter& waiter : waiting) waiter.done(nullptr);
 }
 
-std::shared_ptr<Picture> PictureService::TakeChanges(JobId job, const PictureSource::JobView& view,
+std::shared_ptr<Picture> PictureService::TakeChanges(JobId job, const Round& round,
+                                                     DenoiseQuality quality,
                                                      std::vector<int64_t>* changed) {
   std::shared_ptr<Picture> fresh;
-  {
-    std::lock_guard lock(mu_);
-    Entry& entry = entries_[job];
-    if (entry.picture != nullptr) {
-      changed->assign(entry.changed.begin(), entry.changed.end());
-      entry.changed.clear();
-      return entry.picture;
+  std::unique_lock lock(mu_);
+  if (entries_[job].picture == nullptr) {
+    lock.unlock();
+    fresh = std::make_shared<Picture>(round.view.settings);
+    lock.lock();
+  }
+  Entry& entry = entries_[job];
+  if (fresh != nullptr) {
+    // Whatever the film has by now counts; TileChanged is recorded once the entry has the picture.
+    entry.picture = fresh;
+    for (int64_t tile = 0; tile < round.view.film->grid().num_tiles(); ++tile) {
+      entry.changed.insert(entry.changed.end(), tile);
     }
   }
-  // Whatever the film has by now is taken; TileChanged is recorded once the entry has the picture.
-  fresh = std::make_shared<Picture>(view.settings);
-  changed->resize(static_cast<size_t>(view.film->grid().num_tiles()));
-  std::iota(changed->begin(), changed->end(), 0);
-  std::lock_guard lock(mu_);
-  entries_[job].picture = fresh;
-  return fresh;
+  std::erase_if(entry.changed, [&](int64_t tile) {
+    if (!entry.picture->Reaches(tile, round.views, quality)) return false;
+    changed->push_back(tile);
+    return true;
+  });
+  return entry.picture;
 }
 
 void PictureService::RunRound(Lane lane, JobId job) {
   std::shared_ptr<Picture> refined;
-  bool refine = false, removed = false;
+  Views refine;
+  bool removed = false;
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
@@ -232,77 +280,125 @@ void PictureService::RunRound(Lane lane, JobId job) {
     removed = entry.removed;
     entry.blank = entry.picture == nullptr;
     if (entry.refinement != nullptr) refined = entry.picture;
-    if (lane == kRefinements && refined == nullptr) refine = std::exchange(entry.refine, false);
+    if (lane == kRefinements && refined == nullptr) refine = std::exchange(entry.refine, {});
   }
   if (removed) return Abandon(job);
   if (refined != nullptr) return RunSlice(job, refined);
   // The committed state is read before the changes are taken: the picture shows at least that.
   const std::unique_ptr<PictureSource::JobView> view = source_.view(job);
   if (view == nullptr) return Abandon(job);
-  Refinement round{.view = *view, .begin_ms = MonotonicMs()};
+  Round round{.view = *view, .begin_ms = MonotonicMs()};
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
     // What has been asked for since the round began leads to another one, as the view may be older;
     // if it is not, this round's answer counts and must have the job's quality.
-    refine |= entry.refine || entry.finish;
-    const bool is_asked_for = refine || !entry.waiting.empty();
+    refine.Add(entry.refine);
+    if (entry.finish) refine = Views::Whole();
+    round.views = entry.LookedAt();
+    for (const Waiter& waiter : entry.waiting) {
+      round.views.Add(waiter.region);
+      if (waiter.wait) refine.Add(waiter.region);
+    }
+    const bool is_asked_for = !refine.empty() || !entry.waiting.empty();
     if (view->has_samples || is_asked_for) entry.blank = false;
-    entry.wanted = false;
+    entry.wanted = {};
+    entry.news = false;
     if (entry.picture == nullptr && !view->has_samples && !is_asked_for) {
       entry.used_ms = MonotonicMs();
       return;
     }
-    refine |= !view->is_sampling;
-    if (refine && lane == kPreviews) {  // for the other lane
-      entry.refine = true;
+    if (!view->is_sampling) refine.Add(round.views);
+    if (!refine.empty() && lane == kPreviews) {  // for the other lane
+      entry.refine.Add(refine);
       return;
     }
     round.waiting = std::exchange(entry.waiting, {});
     round.finish = std::exchange(entry.finish, false);
   }
+  if (!refine.empty()) {
+    round.views = refine;
+    for (const Waiter& waiter : round.waiting) round.views.Add(waiter.region);
+  }
   std::vector<int64_t> changed;
-  const std::shared_ptr<Picture> picture = TakeChanges(job, *view, &changed);
+  const std::shared_ptr<Picture> picture = TakeChanges(
+      job, round, refine.empty() ? DenoiseQuality::kPreview : DenoiseQuality::kFinal, &changed);
   const auto source = [&](int64_t tile) { return source_.fold_tile(*view->film, tile); };
-  if (!refine) {
-    if (!changed.empty()) {
-      round.cpu_seconds =
-          picture->Update(changed, source, DenoiseQuality::kPreview, num_threads_);
-    }
+  if (refine.empty()) {
+    round.cpu_seconds = picture->Update(changed, source, DenoiseQuality::kPreview, num_threads_,
+                                        round.views);
     return EndRound(job, picture, std::move(round), false);
   }
   if (!changed.empty()) round.cpu_seconds = picture->Absorb(changed, source, num_threads_);
   if (desk_ != nullptr) round.leased = std::make_unique<LeasedWindows>(*desk_, job);
   {
     std::lock_guard lock(mu_);
-    entries_[job].refinement = std::make_unique<Refinement>(std::move(round));
+    entries_[job].refinement = std::make_unique<Round>(std::move(round));
   }
   RunSlice(job, picture);
 }
 
-void PictureService::RunSlice(JobId job, const std::shared_ptr<Picture>& picture) {
-  double cpu_seconds = 0;
-  if (!picture->is_refined()) {
-    LeasedWindows* leased = nullptr;
-    {
-      std::lock_guard lock(mu_);
-      leased = entries_[job].refinement->leased.get();
+void PictureService::JoinRefinement(Entry& entry, Views* first) {
+  Round& round = *entry.refinement;
+  // A part of the whole is no more work.
+  for (auto it = entry.waiting.begin(); it != entry.waiting.end() && round.views.is_whole();) {
+    Views views;
+    views.Add(it->region);
+    const bool has_news = std::ranges::any_of(entry.changed, [&](int64_t tile) {
+      return entry.picture->Reaches(tile, views, DenoiseQuality::kFinal);
+    });
+    if (has_news) {
+      ++it;
+      continue;
     }
-    cpu_seconds = picture->Refine(kSlicePixels * num_threads_, num_threads_, leased);
+    round.waiting.push_back(std::move(*it));
+    it = entry.waiting.erase(it);
   }
-  Refinement round;
+  for (const Waiter& waiter : round.waiting) {
+    if (waiter.region.has_value()) first->Add(waiter.region);
+  }
+}
+
+void PictureService::RunSlice(JobId job, const std::shared_ptr<Picture>& picture) {
+  Round* refinement = nullptr;  // this thread's alone
+  Views first;
   {
     std::lock_guard lock(mu_);
     Entry& entry = entries_[job];
-    entry.refinement->cpu_seconds += cpu_seconds;
-    if (!picture->is_refined()) return;
-    round = std::move(*entry.refinement);
-    entry.refinement.reset();
+    JoinRefinement(entry, &first);
+    refinement = entry.refinement.get();
   }
-  EndRound(job, picture, std::move(round), true);
+  LeasedWindows* const leased = refinement->leased.get();
+  if (!picture->IsRefined(refinement->views, leased)) {
+    refinement->cpu_seconds += picture->Refine(kSlicePixels * num_threads_, num_threads_, leased,
+                                               refinement->views, first);
+  }
+  const bool is_over = picture->IsRefined(refinement->views, leased);
+  std::vector<Waiter> answered;
+  Round round;
+  {
+    std::lock_guard lock(mu_);
+    const auto part = std::ranges::stable_partition(
+        refinement->waiting, [&](const Waiter& waiter) {
+          Views views;
+          views.Add(waiter.region);
+          return !is_over && !picture->IsRefined(views, leased);
+        });
+    std::ranges::move(part, std::back_inserter(answered));
+    refinement->waiting.erase(part.begin(), part.end());
+    if (is_over) {
+      round = std::move(*refinement);
+      entries_[job].refinement.reset();
+    }
+  }
+  if (is_over) {
+    round.waiting = std::move(answered);
+    return EndRound(job, picture, std::move(round), true);
+  }
+  for (const Waiter& waiter : answered) waiter.done(picture);
 }
 
-void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture, Refinement round,
+void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture, Round round,
                               bool is_refined) {
   const auto cores = std::max(1u, std::thread::hardware_concurrency());
   const auto pause_ms = static_cast<int64_t>(1e3 * round.cpu_seconds / (kPreviewShare * cores));
@@ -312,7 +408,14 @@ void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture
     entry.used_ms = MonotonicMs();
     entry.not_before_ms = round.begin_ms + std::max(kIntervalMinMs, pause_ms);
     entry.refine_at_ms = entry.used_ms + kRefineAfterMs;
+    const Views views = entry.LookedAt();
+    entry.rough = !picture->IsRefined(views);
+    for (const int64_t tile : entry.changed) {
+      entry.rough |= picture->Reaches(tile, views, DenoiseQuality::kFinal);
+    }
   }
+  // The answer to Evaluate; of a part, news.
+  is_refined = is_refined && round.views.is_whole();
   if (round.cpu_seconds > 0 || is_refined) {
     PictureEvent event{.job = job,
                        .samples = round.view.samples,
@@ -326,14 +429,14 @@ void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture
     source_.on_picture(event);
   }
   if (round.finish) source_.on_finished({job, round.view.film->Digest()});
-  for (const Done& done : round.waiting) done(picture);
+  for (const Waiter& waiter : round.waiting) waiter.done(picture);
 }
 
 void PictureService::EvictIdle(int64_t now_ms) {
   const auto is_idle = [this](const std::pair<const JobId, Entry>& item) {
     const Entry& entry = item.second;
-    return entry.watchers == 0 && entry.waiting.empty() && !entry.WantsQuality() &&
-           !entry.wanted && !IsUnderWay(item.first);
+    return entry.watchers.empty() && entry.waiting.empty() && !entry.WantsQuality() &&
+           entry.wanted.empty() && !IsUnderWay(item.first);
   };
   std::erase_if(entries_, [&](const auto& item) {
     return is_idle(item) && now_ms - item.second.used_ms > kIdleKeepMs;

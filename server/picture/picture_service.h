@@ -1,6 +1,7 @@
 // Keeps the pictures of jobs up to date in the background, as far as somebody looks at them:
-// nothing is filtered while nobody watches or fetches, and a watched job that waits for its turn
-// has no picture in memory; with a watcher, filtering takes at most kPreviewShare of the machine,
+// nothing is filtered while nobody watches or fetches, of a part that somebody looks at the tiles
+// that it touches and no others, and a watched job that waits for its turn has no picture in
+// memory; with a watcher, filtering takes at most kPreviewShare of the machine,
 // and the rate follows from what a round costs. Latest wins: a round takes whatever has changed
 // since the last one. Previews of a job that is sampled are filtered at preview quality; at rest,
 // or when somebody waits, the picture has the job's. Previews have a thread of their own, so that
@@ -25,6 +26,7 @@
 #include "server/picture/filter_desk.h"
 #include "server/picture/leased_windows.h"
 #include "server/picture/picture.h"
+#include "server/picture/views.h"
 
 namespace tessera {
 
@@ -63,15 +65,19 @@ class PictureService {
   // What the host has filtered is filtered again.
   void Distrust(const std::string& host);
 
-  void AddWatcher(JobId job);
-  void RemoveWatcher(JobId job);
+  // A part of the picture, in frame coordinates; absent: all that the job renders; without pixels:
+  // nothing.
+  using Region = std::optional<PixelRect>;
+  // Somebody looks at it until RemoveWatcher with the same region.
+  void AddWatcher(JobId job, const Region& region);
+  void RemoveWatcher(JobId job, const Region& region);
 
-  // Calls done(picture), on one of the service's threads or at once, when the picture shows at
-  // least everything that had been merged before the call, at the job's quality (wait), or else any
-  // moment, but samples if there are any. null: the job does not exist any more, or the service
-  // stops.
+  // Calls done(picture), on one of the service's threads or at once, when the picture shows in
+  // `region` at least everything that had been merged before the call, at the job's quality (wait),
+  // or else any moment, but samples if there are any. null: the job does not exist any more, or the
+  // service stops.
   using Done = std::function<void(std::shared_ptr<const Picture>)>;
-  void Fetch(JobId job, bool wait, Done done);
+  void Fetch(JobId job, const Region& region, bool wait, Done done);
 
   FilterDesk::Totals filter_totals() const {
     return desk_ == nullptr ? FilterDesk::Totals() : desk_->totals();
@@ -81,24 +87,33 @@ class PictureService {
   void Stop();
 
  private:
-  // A picture on its way to the job's quality, slice by slice, and who waits for it.
-  struct Refinement {
+  struct Waiter {
+    Region region;
+    bool wait = false;  // for the job's quality
+    Done done;
+  };
+  // What is looked at of a picture on its way to the job's quality, slice by slice, or of a
+  // preview, and who waits for it.
+  struct Round {
     PictureSource::JobView view;
+    Views views{};
     std::unique_ptr<LeasedWindows> leased{};  // null: without workers
-    std::vector<Done> waiting{};
+    std::vector<Waiter> waiting{};
     bool finish = false;
     int64_t begin_ms = 0;
     double cpu_seconds = 0;
   };
   struct Entry {
     std::shared_ptr<Picture> picture;  // null until somebody looks
-    std::unique_ptr<Refinement> refinement{};  // null: none under way
+    std::unique_ptr<Round> refinement{};  // null: none under way
     std::set<int64_t> changed;         // tiles, since `picture` took them
-    std::vector<Done> waiting;
-    int watchers = 0;
-    bool wanted = false;  // a fetch that did not wait would like it newer
-    bool refine = false;  // somebody waits for the job's quality
+    std::vector<Waiter> waiting;
+    std::vector<Region> watchers;
+    Views wanted;   // fetches that did not wait would like them newer
+    Views refine;   // to the job's quality
     bool finish = false;
+    bool news = false;   // what is looked at may have changed since the last round
+    bool rough = false;  // or may not have the job's quality
     bool removed = false;  // the job is
     bool blank = false;    // without samples when last looked at, and no tile has changed since
     int64_t not_before_ms = 0;
@@ -106,7 +121,9 @@ class PictureService {
     int64_t used_ms = 0;
     int64_t last_round = 0;  // its number, or its last slice's
 
-    bool WantsQuality() const { return refinement != nullptr || refine || finish; }
+    bool WantsQuality() const;
+    // What the watchers and the last fetches look at.
+    Views LookedAt() const;
   };
 
   // What each of the two threads is for. A job's picture is with one of them at a time.
@@ -124,11 +141,18 @@ class PictureService {
   // The next slice of the job's refinement, and what follows from its last one.
   void RunSlice(JobId job, const std::shared_ptr<Picture>& picture);
   // Ends a round: when the next may begin, what was found, and who waited for it.
-  void EndRound(JobId job, const std::shared_ptr<Picture>& picture, Refinement round,
-                bool is_refined);
+  void EndRound(JobId job, const std::shared_ptr<Picture>& picture, Round round, bool is_refined);
+  // Who can be answered by the refinement under way joins it; *first are the parts that are waited
+  // for. Needs mu_.
+  static void JoinRefinement(Entry& entry, Views* first);
+  // Notes what the tile's news mean for those who look on. Needs mu_.
+  static void NoteNews(Entry& entry, int64_t tile, const Views& views);
+  // Notes that somebody looks at the views from now on. Needs mu_.
+  static void NoteLook(Entry& entry, const Views& views);
   void Abandon(JobId job);
-  // Creates the picture if need be and moves what has changed since the last round to *changed.
-  std::shared_ptr<Picture> TakeChanges(JobId job, const PictureSource::JobView& view,
+  // Creates the picture if need be and moves what has changed since the last round, and reaches
+  // round.views, to *changed.
+  std::shared_ptr<Picture> TakeChanges(JobId job, const Round& round, DenoiseQuality quality,
                                        std::vector<int64_t>* changed);
   void EvictIdle(int64_t now_ms);
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <optional>
 
 #include "absl/strings/str_cat.h"
 #include "core/film/delta_codec.h"
@@ -15,6 +16,15 @@ namespace tessera {
 namespace {
 
 static_assert(std::endian::native == std::endian::little, "planes travel little-endian");
+
+// What the request asks for; absent: all that the job renders.
+std::optional<PixelRect> PartOf(const v1::GetImageRequest& request,
+                                const v1::JobSettings& settings) {
+  if (!request.has_region()) return std::nullopt;
+  const PixelRect region = RectOf(request.region());
+  if (region == RegionOf(settings)) return std::nullopt;
+  return region;
+}
 
 class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
  public:
@@ -34,7 +44,7 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
     const absl::StatusOr<v1::Job> job =
         host.Read([&](const Coordinator& c) { return c.GetJob(*id); });
     if (!job.ok()) return Finish(ToGrpc(job.status()));
-    pictures.Fetch(*id, request_.wait_for_filter(),
+    pictures.Fetch(*id, PartOf(request_, job->settings()), request_.wait_for_filter(),
                    [this, &host, id = *id](const std::shared_ptr<const Picture>& picture) {
                      Send(host, id, picture.get());
                    });
@@ -79,7 +89,7 @@ class ImageReactor : public grpc::ServerWriteReactor<v1::GetImageResponse> {
     header.set_frame_width(job->settings().width());
     header.set_frame_height(job->settings().height());
     *header.mutable_revision() = job->revision();
-    header.set_spp(picture->spp());
+    header.set_spp(request_.has_region() ? picture->spp(region) : picture->spp());
     for (const std::string& name : request_.layers()) {
       const PictureLayer* const layer = FindPictureLayer(name);
       v1::ImageLayer& out = *header.add_layers();

@@ -3,6 +3,7 @@
 #include <charconv>
 
 #include "absl/strings/str_cat.h"
+#include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
 #include "server/rpc/refused_stream.h"
 #include "server/rpc/rpc_status.h"
@@ -120,6 +121,10 @@ grpc::ServerWriteReactor<v1::Job>* JobService::WatchJob(grpc::CallbackServerCont
   const absl::StatusOr<Caller> caller = access_.Check(*context, Role::kView);
   absl::Status status = caller.status();
   if (status.ok()) status = requests_.Get(request->name(), &job);
+  const v1::Region& region = request->region();
+  if (status.ok() && request->has_region() && (region.width() != 0 || region.height() != 0)) {
+    status = CheckRegion(job.settings(), region, "region");
+  }
   if (!status.ok()) return new RefusedStream<grpc::ServerWriteReactor<v1::Job>>(status);
   absl::StatusOr<ClientLimits::Hold> hold =
       limits_.OpenStream(ClientOf(*caller, context->peer()));

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/sha256.h"
 #include "server/coordinator/coordinator.h"
+#include "server/coordinator/job_settings.h"
 #include "server/coordinator_host.h"
 #include "server/rpc/rpc_status.h"
 
@@ -31,6 +32,12 @@ int64_t IntervalMs(const v1::WatchJobRequest& request) {
   return interval.seconds() * 1000 + std::clamp(interval.nanos(), 0, 999999999) / 1000000;
 }
 
+// What the watcher looks at.
+std::optional<PixelRect> RegionOf(const v1::WatchJobRequest& request) {
+  if (!request.has_region()) return std::nullopt;
+  return RectOf(request.region());
+}
+
 }  // namespace
 
 // One stream. Reactions and Pump meet under mu_.
@@ -41,6 +48,7 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
         job_(job),
         interval_ms_(IntervalMs(request)),
         only_changes_(request.only_changes()),
+        region_(RegionOf(request)),
         keeps_(std::move(keeps)),
         sent_(request.from_revision()) {}
 
@@ -93,9 +101,10 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
   }
   void OnCancel() override { End(grpc::Status::CANCELLED); }
   void OnDone() override {
-    hub_->Remove(this, job_);
+    hub_->Remove(this, job_, region_);
     delete this;
   }
+  const std::optional<PixelRect>& region() const { return region_; }
 
  private:
   // Only the digests of what was sent are kept: settings may have a megabyte.
@@ -119,6 +128,7 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
   const JobId job_;
   const int64_t interval_ms_;
   const bool only_changes_;
+  const std::optional<PixelRect> region_;
   const WatchKeeps keeps_;
   std::mutex mu_;  // guards all below
   v1::Revision sent_;
@@ -137,7 +147,7 @@ WatchHub::WatchHub(WatchCallbacks callbacks, int watches_max)
 grpc::ServerWriteReactor<v1::Job>* WatchHub::Watch(JobId job, const v1::WatchJobRequest& request,
                                                    WatchKeeps keeps) {
   auto* const reactor = new WatchReactor(this, job, request, std::move(keeps));
-  callbacks_.added(job);
+  callbacks_.added(job, reactor->region());
   grpc::Status status;
   {
     std::lock_guard lock(mu_);
@@ -184,7 +194,7 @@ void WatchHub::Close() {
   }
 }
 
-void WatchHub::Remove(WatchReactor* reactor, JobId job) {
+void WatchHub::Remove(WatchReactor* reactor, JobId job, const std::optional<PixelRect>& region) {
   {
     std::lock_guard lock(mu_);
     --num_watches_;
@@ -192,7 +202,7 @@ void WatchHub::Remove(WatchReactor* reactor, JobId job) {
     it->second.erase(reactor);
     if (it->second.empty()) reactors_.erase(it);
   }
-  callbacks_.removed(job);
+  callbacks_.removed(job, region);
 }
 
 }  // namespace tessera

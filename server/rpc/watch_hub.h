@@ -7,10 +7,12 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 
 #include <grpcpp/support/server_callback.h>
 
+#include "core/base/pixel_rect.h"
 #include "server/coordinator/event.h"
 #include "server/coordinator/limits.h"
 #include "server/rpc/write_deadlines.h"
@@ -29,8 +31,8 @@ struct WatchKeeps {
 struct WatchCallbacks {
   // The job as it is now; false if it does not exist.
   std::function<bool(JobId, v1::Job*)> get_job;
-  std::function<void(JobId)> added;    // a watcher came
-  std::function<void(JobId)> removed;  // it went
+  // A watcher came, or went, that looks at the region; absent: all; without pixels: nothing.
+  std::function<void(JobId, const std::optional<PixelRect>& region)> added, removed;
 };
 
 // Threads: all methods from any thread.
@@ -39,7 +41,8 @@ class WatchHub {
   // watches_max: further ones end with RESOURCE_EXHAUSTED.
   explicit WatchHub(WatchCallbacks callbacks, int watches_max = kWatchesMax);
 
-  // The reactor of a new watch stream. It deletes itself.
+  // The reactor of a new watch stream. It deletes itself. The request's region, if any, is inside
+  // the frame, or without pixels.
   grpc::ServerWriteReactor<v1::Job>* Watch(JobId job, const v1::WatchJobRequest& request,
                                            WatchKeeps keeps = {});
   // The job has changed, or is gone. Never blocks, takes no lock but its own.
@@ -51,7 +54,7 @@ class WatchHub {
 
  private:
   friend class WatchReactor;
-  void Remove(WatchReactor* reactor, JobId job);
+  void Remove(WatchReactor* reactor, JobId job, const std::optional<PixelRect>& region);
 
   const WatchCallbacks callbacks_;
   const int watches_max_;

@@ -42,8 +42,8 @@ class JobServiceTest : public testing::Test {
   CoordinatorHost host_{SmallConfig(), effects_};
   std::unique_ptr<AssetStore> assets_ = *AssetStore::Open("", 1000);
   WatchHub watchers_{{.get_job = [](JobId, v1::Job*) { return false; },
-                      .added = [](JobId) {},
-                      .removed = [](JobId) {}}};
+                      .added = [](JobId, const auto&) {},
+                      .removed = [](JobId, const auto&) {}}};
   std::atomic<bool> disk_is_full_ = false;
   absl::Status Keep() const {
     return disk_is_full_ ? absl::InternalError("the disk is full") : absl::OkStatus();

@@ -170,13 +170,13 @@ TEST(Picture, RefinedInSlicesIsTheSame) {
     Picture sliced(settings), fresh(settings);
     sliced.Absorb(AllTiles(grid), From(two), 1);
     sliced.Refine(500, 2);
-    EXPECT_EQ(sliced.version(), 0u) << "it is not whole yet";
+    EXPECT_FALSE(sliced.HasShown(std::nullopt)) << "it is not whole yet";
     // Newer samples come while it is being refined.
     sliced.Absorb(AllTiles(grid), From(eight), 2);
     int slices = 0;
     for (; !sliced.is_refined(); ++slices) sliced.Refine(500, 1 + slices % 2);
     EXPECT_GE(slices, 61 * 45 / 500 / 2);
-    EXPECT_EQ(sliced.version(), 1u);
+    EXPECT_TRUE(sliced.HasShown(std::nullopt));
     fresh.Update(AllTiles(grid), From(eight), DenoiseQuality::kFinal, 1);
     ExpectSame(sliced, fresh, grid.region());
   }
@@ -279,7 +279,7 @@ struct OneJob {
 
 std::shared_ptr<const Picture> FetchNow(PictureService& service, bool wait) {
   std::promise<std::shared_ptr<const Picture>> promise;
-  service.Fetch(1, wait,
+  service.Fetch(1, std::nullopt, wait,
                 [&](std::shared_ptr<const Picture> picture) { promise.set_value(picture); });
   return promise.get_future().get();
 }
@@ -308,7 +308,8 @@ TEST(PictureService, APreviewWaitsForNoOtherJobsRefinement) {
       SyntheticFilm(1, TileGrid(RegionOf(settings), settings.tile_size()), 1));
   PictureService service(std::move(source), 1);
   on_first_fold = [&] {
-    service.Fetch(2, false, [&](std::shared_ptr<const Picture>) { fetched.set_value(); });
+    service.Fetch(2, std::nullopt, false,
+                  [&](std::shared_ptr<const Picture>) { fetched.set_value(); });
     status = fetched.get_future().wait_for(std::chrono::seconds(60));
   };
   service.Finish(1);
@@ -335,11 +336,11 @@ TEST(PictureService, AWatchedJobWithoutSamplesHasNoPicture) {
     return film.Fold(tile);
   };
   PictureService service(std::move(source), 1);
-  service.AddWatcher(1);
+  service.AddWatcher(1, std::nullopt);
   viewed.get_future().wait();
   // Another job's round comes after that of job 1.
   std::promise<void> done;
-  service.Fetch(2, false, [&](std::shared_ptr<const Picture>) { done.set_value(); });
+  service.Fetch(2, std::nullopt, false, [&](std::shared_ptr<const Picture>) { done.set_value(); });
   done.get_future().wait();
   EXPECT_EQ(folds, job.film->grid().num_tiles()) << "of job 2 only, which was asked for";
   job.Grow(service,
@@ -412,12 +413,12 @@ TEST(PictureService, AJobInDemandKeepsNoOtherWaiting) {
   PictureService service(job.Source(), 1);
   std::atomic<bool> is_over{false};
   std::function<void(std::shared_ptr<const Picture>)> again = [&](const auto& picture) {
-    if (picture != nullptr && !is_over) service.Fetch(1, true, again);
+    if (picture != nullptr && !is_over) service.Fetch(1, std::nullopt, true, again);
   };
-  service.Fetch(1, true, again);
-  service.Fetch(1, true, again);
+  service.Fetch(1, std::nullopt, true, again);
+  service.Fetch(1, std::nullopt, true, again);
   std::promise<void> served;
-  service.Fetch(2, true, [&](const auto&) { served.set_value(); });
+  service.Fetch(2, std::nullopt, true, [&](const auto&) { served.set_value(); });
   EXPECT_EQ(served.get_future().wait_for(std::chrono::seconds(5)), std::future_status::ready);
   is_over = true;
   service.Stop();

@@ -44,8 +44,8 @@ class WatchOnly final : public v1::JobService::CallbackService {
                       job->mutable_revision()->set_counter(1);
                       return true;
                     },
-                .added = [](JobId) {},
-                .removed = [](JobId) {}},
+                .added = [](JobId, const auto&) {},
+                .removed = [](JobId, const auto&) {}},
                2};
 };
 
