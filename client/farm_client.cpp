@@ -152,9 +152,11 @@ void KeepWhatHasNotChanged(const v1::Job& before, v1::Job* job) {
 absl::StatusOr<v1::Job> FarmClient::Watch(const std::string& name,
                                           const std::function<void(const v1::Job&)>& on_change,
                                           std::chrono::milliseconds min_interval,
-                                          std::stop_token stop) {
+                                          std::stop_token stop,
+                                          const std::optional<v1::Region>& looks_at) {
   v1::WatchJobRequest request;
   request.set_name(name);
+  if (looks_at.has_value()) *request.mutable_region() = *looks_at;
   request.set_only_changes(true);
   *request.mutable_min_interval() =
       google::protobuf::util::TimeUtil::MillisecondsToDuration(min_interval.count());

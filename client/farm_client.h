@@ -84,10 +84,13 @@ class FarmClient {
 
   // Calls `on_change` for each revision that arrives (some are skipped) until the job is in a
   // terminal state, and returns that. A broken stream is taken up where it ended.
+  // looks_at: the part of the picture whose previews the server shall keep up to date for this
+  // watcher, in frame coordinates; nullopt: all; without pixels: none.
   absl::StatusOr<v1::Job> Watch(const std::string& name,
                                 const std::function<void(const v1::Job&)>& on_change,
                                 std::chrono::milliseconds min_interval = kWatchInterval,
-                                std::stop_token stop = {});
+                                std::stop_token stop = {},
+                                const std::optional<v1::Region>& looks_at = std::nullopt);
 
   // The layers as they are now.
   // Errors: INTERNAL what arrives is not what its header promises.

@@ -200,9 +200,12 @@ class CommandTable {
                 false);
     AddJobFlags(Add("show", "One job in detail", [this] { return RunShow(job_); }), &job_, true);
     CLI::App* watch =
-        Add("watch", "Show a job's progress until it ends", [this] { return RunWatch(job_); });
-    AddJobFlags(watch, &job_, true);
-    watch->add_flag("--quiet", job_.quiet, "No progress");
+        Add("watch", "Show a job's progress until it ends", [this] { return RunWatch(watch_); });
+    AddJobFlags(watch, &watch_.job, true);
+    watch->add_option("--region", watch_.region,
+                      "X,Y,W,H: the part of the picture that is looked at (all)");
+    watch->add_flag("--quiet", watch_.job.quiet,
+                    "No progress, and no previews but of --region for this watcher");
     CLI::App* fetch = Add("fetch", "Write a job's picture as it is now",
                           [this] { return RunFetch(fetch_); });
     fetch->add_option("job", fetch_.job, "jobs/N or N")->required();
@@ -291,6 +294,7 @@ class CommandTable {
   CLI::App app_{"Renders glTF scenes, here or on as many machines as there are."};
   RenderFlags render_;
   JobFlags job_;
+  WatchFlags watch_;
   LookFlags look_;
   FetchFlags fetch_;
   DenoiseFlags denoise_;

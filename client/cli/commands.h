@@ -15,7 +15,7 @@ absl::Status RunRender(const RenderFlags& flags, const CommandLineParts& parts);
 absl::Status RunSubmit(const RenderFlags& flags);
 absl::Status RunList(const JobFlags& flags);
 absl::Status RunShow(const JobFlags& flags);
-absl::Status RunWatch(const JobFlags& flags);
+absl::Status RunWatch(const WatchFlags& flags);
 absl::Status RunFetch(const FetchFlags& flags);
 absl::Status RunLook(const LookFlags& flags);
 absl::Status RunPause(const JobFlags& flags);

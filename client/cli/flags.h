@@ -71,6 +71,11 @@ struct JobFlags {
   bool quiet = false;
 };
 
+struct WatchFlags {
+  JobFlags job;
+  std::string region;  // empty: all of the picture
+};
+
 struct LookFlags {
   JobFlags job;
   std::string region;  // or "none"

@@ -193,6 +193,7 @@ TEST_F(FarmClientTest, WatchTakesUpABrokenStreamAtItsLastRevision) {
   farm_.jobs.watch = [&](const v1::WatchJobRequest& request, grpc::ServerWriter<v1::Job>* writer,
                          grpc::ServerContext*) {
     asked_from.push_back(request.from_revision().counter());
+    EXPECT_FALSE(request.has_region());
     if (asked_from.size() == 1) {
       writer->Write(JobAt(1, v1::JOB_STATE_QUEUED));
       writer->Write(JobAt(2, v1::JOB_STATE_RUNNING));
@@ -209,6 +210,19 @@ TEST_F(FarmClientTest, WatchTakesUpABrokenStreamAtItsLastRevision) {
   EXPECT_EQ(job->state(), v1::JOB_STATE_DONE);
   EXPECT_THAT(seen, ElementsAre(1, 2, 5));
   EXPECT_THAT(asked_from, ElementsAre(0, 2, 2));
+}
+
+TEST_F(FarmClientTest, WatchSaysWhatItLooksAt) {
+  v1::Region region;
+  region.set_x(3);
+  region.set_width(5);
+  farm_.jobs.watch = [&](const v1::WatchJobRequest& request, grpc::ServerWriter<v1::Job>* writer,
+                         grpc::ServerContext*) {
+    EXPECT_EQ(request.region().SerializeAsString(), region.SerializeAsString());
+    writer->Write(JobAt(1, v1::JOB_STATE_DONE));
+    return grpc::Status::OK;
+  };
+  EXPECT_TRUE(MakeClient().Watch("jobs/1", nullptr, kWatchInterval, {}, region).ok());
 }
 
 TEST_F(FarmClientTest, WatchGivesUpOnlyAfterManyAttemptsWithoutNews) {

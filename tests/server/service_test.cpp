@@ -102,6 +102,32 @@ TEST_F(ServiceTest, CancelEndsTheWatch) {
   EXPECT_EQ(update.state(), v1::JOB_STATE_CANCELLED);
 }
 
+TEST_F(ServiceTest, AWatcherSaysWhatItLooksAt) {
+  StartService();
+  v1::Job job;
+  ASSERT_TRUE(Create(UploadedSettings(2), &job).ok());
+  const auto watch = [&](int x, int width, int height) {
+    grpc::ClientContext context;
+    v1::WatchJobRequest request;
+    request.set_name(job.name());
+    request.mutable_region()->set_x(x);
+    request.mutable_region()->set_width(width);
+    request.mutable_region()->set_height(height);
+    const auto reader = jobs->WatchJob(&context, request);
+    v1::Job state;
+    while (reader->Read(&state)) {
+    }
+    return reader->Finish();
+  };
+  const grpc::Status outside = watch(1, job.settings().width(), 4);
+  EXPECT_EQ(outside.error_code(), grpc::INVALID_ARGUMENT);
+  EXPECT_NE(outside.error_message().find("region"), std::string::npos);
+  EXPECT_EQ(watch(0, 4, 0).error_code(), grpc::INVALID_ARGUMENT);
+  SyntheticWorker worker(channel);
+  EXPECT_TRUE(watch(1, 4, 4).ok());
+  EXPECT_TRUE(watch(0, 0, 0).ok()) << "progress alone";
+}
+
 TEST_F(ServiceTest, ASlowWatcherSkipsStates) {
   StartService();
   v1::Job job;
