@@ -145,6 +145,11 @@ void Checkers::CheckLeases(const Coordinator& coordinator, Instant now) {
       Fail(absl::StrCat("lease ", lease.id, " is kept without progress since ",
                         now_seen.since_ms));
     }
+    if (lease.state == v1::LeaseProgress::STATE_BUILDING &&
+        now.monotonic_ms - now_seen.since_ms > plan_.build_budget_ms + plan_.lease_ttl_ms) {
+      Fail(absl::StrCat("lease ", lease.id, " waits for a scene that has been built since ",
+                        now_seen.since_ms));
+    }
   }
   seen_ = std::move(seen);
   for (const auto& [session, count] : of_session) {

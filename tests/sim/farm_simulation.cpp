@@ -61,7 +61,7 @@ class Farm {
     if (checkers_.violation().empty()) CheckEnd();
     return {checkers_.violation(), checkers_.steps(),     checkers_.counted(),
             network_.corrupted(),  time_.now_us() / kMs, jobs_ended_ms,
-            server_.windows_filtered()};
+            server_.windows_filtered(), BuildsGivenUp()};
   }
 
  private:
@@ -121,6 +121,8 @@ class Farm {
         return Worker(fault.target).Stall(for_us);
       case FaultKind::kRenderHangs:
         return Worker(fault.target).HangNextRender(for_us);
+      case FaultKind::kBuildHangs:
+        return Worker(fault.target).HangNextBuild(for_us);
       case FaultKind::kWorkerCrashes:
         return Worker(fault.target).CrashBySignal();
       case FaultKind::kWorkerDrains:
@@ -151,6 +153,12 @@ class Farm {
         }
         return;
     }
+  }
+
+  int64_t BuildsGivenUp() const {
+    int64_t builds = 0;
+    for (const auto& worker : workers_) builds += worker->builds_given_up();
+    return builds;
   }
 
   // The jobs that have not ended, and who has leases of them.

@@ -123,6 +123,35 @@ void AddLooks(SimRandom& random, FaultPlan* plan) {
   }
 }
 
+bool EndsAProcess(FaultKind kind) {
+  return kind == FaultKind::kWorkerKilled || kind == FaultKind::kWorkerVanishes ||
+         kind == FaultKind::kWorkerCrashes || kind == FaultKind::kWorkerDrains;
+}
+
+// Scenes whose building ends late or never. Two at most: a job whose scene has cost three processes
+// fails. Where a job has one worker only, the server asks it again after as long as the budget, so
+// that what a worker waits before it gives up takes twice as long.
+void AddHungBuilds(SimRandom& random, FaultPlan* plan) {
+  if (plan->seed % 11 < 9) return;
+  plan->build_budget_ms = random.Between(5, 60) * 1000;
+  const int64_t longest_us = 2 * (plan->build_budget_ms * kMs + kBuildGivenUpUs);
+  // Half of them have nobody else: all that is left is that the workers give up.
+  const bool hits_all = plan->seed % 11 == 10 && plan->audit_rate == 0 && !plan->is_large;
+  if (hits_all && plan->workers.size() > 2) plan->workers.resize(2);
+  std::erase_if(plan->faults, [&](const Fault& f) { return hits_all && EndsAProcess(f.kind); });
+  const auto num_workers = static_cast<int>(plan->workers.size());
+  for (Fault& fault : plan->faults) fault.target %= num_workers;
+  const int64_t hung = hits_all ? num_workers : random.Between(1, 2);
+  for (int i = 0; i < hung; ++i) {
+    Fault fault{.kind = FaultKind::kBuildHangs};
+    fault.at_us = hits_all ? 0 : random.Between(0, plan->faults_end_us - 1);
+    fault.for_us = hits_all ? kNever : random.Between(0, longest_us);
+    fault.target = hits_all ? i : static_cast<int>(random.Between(0, num_workers - 1));
+    plan->faults.push_back(fault);
+    plan->end_us += longest_us + 60 * kSecond;
+  }
+}
+
 }  // namespace
 
 FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
@@ -168,6 +197,7 @@ FaultPlan MakeFaultPlan(uint64_t seed, bool is_large) {
   plan.lease_target_ms = random.Between(100, 4000);
   plan.ingest_load = random.Uniform();
   AddLooks(random, &plan);
+  AddHungBuilds(random, &plan);
   // The first worker alone could do it all, even twice; where arithmetic differs, the slowest one.
   int64_t samples = 0;
   for (const JobPlan& job : plan.jobs) {

@@ -1,10 +1,12 @@
 // What a seed stands for: the farm, its jobs, and everything that breaks in it.
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <vector>
 
 #include "tessera/v1/job.pb.h"
+#include "worker/session/session_machine.h"
 
 namespace tessera {
 
@@ -21,6 +23,10 @@ struct NetworkPlan {
   double call_loss = 0;  // of a client's request or of its answer
 };
 
+// How long a worker waits for a scene's building that nobody waits for before it ends its process.
+inline constexpr int64_t kBuildGivenUpUs =
+    std::chrono::microseconds(SessionMachine::kBuildHungAfter).count();
+
 inline constexpr char kSimArithmetic[] = "00000000000000a1";
 inline constexpr char kOtherSimArithmetic[] = "00000000000000b2";
 
@@ -32,6 +38,7 @@ struct WorkerPlan {
   double failed_fetch = 0;  // chance of a scene's files not to come
   double lies = 0;          // chance of a delta to be of other samples than it says
   const char* arithmetic = kSimArithmetic;  // decides the bits of what it renders
+  bool gives_up = true;  // false is a mistake, for tests of the checkers: it goes on where it hangs
 };
 
 enum class FaultKind {
@@ -39,6 +46,7 @@ enum class FaultKind {
   kWorkerVanishes,  // its machine is gone, nobody is told
   kWorkerStalls,    // the whole process stands still, then goes on
   kRenderHangs,     // the next render stands still for so long, while its session lives
+  kBuildHangs,      // the same of the next scene that it builds
   kWorkerCrashes,   // by a signal, for reasons of its own: what it had in hand is innocent
   kWorkerDrains,
   kPartition,    // of one worker
@@ -75,6 +83,7 @@ struct FaultPlan {
   int64_t lease_target_ms = 0;
   double ingest_load = 0;
   double audit_rate = 0;
+  int64_t build_budget_ms = 600000;
   bool filters = false;       // windows of pictures are leased to workers
   int64_t faults_end_us = 0;  // after that nothing breaks any more
   int64_t end_us = 0;         // by then every job has ended

@@ -109,6 +109,7 @@ class SimServer::Run : public EffectSink {
     config.lease_ttl_ms = server_.plan_.lease_ttl_ms;
     config.lease_target_ms = server_.plan_.lease_target_ms;
     config.checkpoint_interval_ms = server_.plan_.checkpoint_ms;
+    config.build_budget_ms = server_.plan_.build_budget_ms;
     config.audit_rate = server_.plan_.audit_rate;
     config.audit_seed = server_.plan_.seed;
     return config;

@@ -115,7 +115,8 @@ void SimWorker::Die(int64_t for_us, bool vanishes) {
   writing_ = false;
   held_.clear();
   stalled_until_us_ = 0;
-  hang_us_ = 0;
+  hang_us_ = build_hang_us_ = 0;
+  hung_job_.clear();
   scenes_.clear();
   queue_.clear();
   tasks_.clear();
@@ -152,7 +153,14 @@ void SimWorker::Apply(session_effect::Write& effect) {
 
 void SimWorker::Apply(session_effect::BuildScene& effect) {
   build_cancelled_ = false;
-  After(random_.Between(10, 1000) * kMs, [this, scene = effect.scene, settings = effect.settings] {
+  int64_t took_us = random_.Between(10, 1000) * kMs;
+  if (build_hang_us_ > 0) {
+    trace_(absl::StrCat("builds the scene of ", effect.job, " late, or never"));
+    took_us += std::exchange(build_hang_us_, 0);
+    hung_job_ = effect.job;
+  }
+  After(took_us, [this, scene = effect.scene, settings = effect.settings] {
+    hung_job_.clear();
     session_event::SceneBuilt built;
     built.scene = scene;
     const bool calm = time_.now_us() >= plan_.faults_end_us;
@@ -224,6 +232,7 @@ void SimWorker::Crash(int signal) {
     unit.set_sample_begin(task.lease.sample_begin());
     unit.set_sample_end(task.lease.sample_end());
   }
+  report.set_building_job(hung_job_);
   crash_ = std::move(report);
   Die(100 * kMs, false);
 }
@@ -287,6 +296,8 @@ void SimWorker::Apply(session_effect::CancelRender& effect) {
 
 void SimWorker::Apply(session_effect::GiveUp& effect) {
   trace_(effect.why);
+  if (!me_.gives_up) return;
+  if (!hung_job_.empty()) ++builds_given_up_;
   Crash(6);
 }
 

@@ -37,10 +37,12 @@ class SimWorker {
   void Die(int64_t for_us, bool vanishes);
   void Stall(int64_t for_us);
   void HangNextRender(int64_t for_us) { hang_us_ = for_us; }
+  void HangNextBuild(int64_t for_us) { build_hang_us_ = for_us; }
   void CrashBySignal();
   void Drain(int64_t for_us);
 
   bool is_alive() const { return machine_ != nullptr; }
+  int64_t builds_given_up() const { return builds_given_up_; }
   // What is wrong with the machine's queues; empty if nothing.
   std::string BoundsBroken() const;
 
@@ -96,6 +98,9 @@ class SimWorker {
   int64_t stalled_until_us_ = 0;
   std::deque<SessionEvent> held_;  // while it stands still
   int64_t hang_us_ = 0;
+  int64_t build_hang_us_ = 0;
+  std::string hung_job_;  // whose scene's building hangs; empty = none does
+  int64_t builds_given_up_ = 0;
   int64_t restart_us_ = 0;
   bool build_cancelled_ = false;
   std::map<std::string, v1::JobSettings> scenes_;

@@ -40,20 +40,22 @@ TEST(Replay, IsTheSameRun) {
 
 // The faults must meet work: a simulator in which nothing happens proves nothing.
 TEST(Plans, BreakWhatTheySay) {
-  int64_t counted = 0, corrupted = 0, windows_filtered = 0;
+  int64_t counted = 0, corrupted = 0, windows_filtered = 0, builds_given_up = 0;
   for (uint64_t seed = 0; seed < 100; ++seed) {
     const SimulationResult result = ExpectHolds(seed);
     counted += result.counted;
     corrupted += result.corrupted;
     windows_filtered += result.windows_filtered;
+    builds_given_up += result.builds_given_up;
   }
   EXPECT_GT(counted, 5000);
   EXPECT_GT(corrupted, 5);
   EXPECT_GT(windows_filtered, 50);
+  EXPECT_GT(builds_given_up, 5);
 }
 
-// A calm farm of two workers and one job; only the first worker's third render hangs, for ever.
-TEST(HungRender, IsLeasedAgainWithinThreeSeconds) {
+// A calm farm of two workers and one job, in which nothing breaks.
+FaultPlan CalmPlan() {
   FaultPlan plan = MakeFaultPlan(0);
   plan.network = {};
   plan.network.delay_us_max = kMs;
@@ -73,19 +75,61 @@ TEST(HungRender, IsLeasedAgainWithinThreeSeconds) {
   settings.clear_target_error();
   settings.clear_target_tile_error();
   settings.clear_max_time();
-  plan.faults_end_us = 10 * kSecond;
-  plan.faults.push_back({FaultKind::kRenderHangs, 0, 3600 * kSecond, 0});
-  const SimulationResult calm = [&] {
-    FaultPlan none = plan;
-    none.faults.clear();
-    none.faults_end_us = 0;
-    return Simulate(none);
-  }();
   plan.faults_end_us = 1;
+  return plan;
+}
+
+// Only the first worker's first render hangs, for ever.
+TEST(HungRender, IsLeasedAgainWithinThreeSeconds) {
+  FaultPlan plan = CalmPlan();
+  const SimulationResult calm = Simulate(plan);
+  plan.faults.push_back({FaultKind::kRenderHangs, 0, 3600 * kSecond, 0});
   const SimulationResult hung = Simulate(plan);
   EXPECT_EQ(calm.violation, "");
   EXPECT_EQ(hung.violation, "");
   EXPECT_LE(hung.jobs_ended_ms, calm.jobs_ended_ms + 3000);
+}
+
+// A farm in which the building of the first worker's first scene takes so much longer.
+FaultPlan HungBuildPlan(int num_workers, int64_t for_us) {
+  FaultPlan plan = CalmPlan();
+  plan.workers.resize(static_cast<size_t>(num_workers));
+  plan.build_budget_ms = 10000;
+  plan.faults.push_back({FaultKind::kBuildHangs, 0, for_us, 0});
+  plan.end_us = 2000 * kSecond;
+  return plan;
+}
+
+TEST(HungBuild, KeepsNoOtherWorkerFromTheJob) {
+  const SimulationResult calm = Simulate(CalmPlan());
+  const SimulationResult hung = Simulate(HungBuildPlan(2, kNever));
+  EXPECT_EQ(hung.violation, "");
+  EXPECT_LE(hung.jobs_ended_ms, calm.jobs_ended_ms + 10000 + 3000);
+}
+
+// The job has one worker, which has to end its process: half of the time it is asked for the scene.
+TEST(HungBuild, IsGivenUpWithItsProcess) {
+  const SimulationResult hung = Simulate(HungBuildPlan(1, kNever));
+  EXPECT_EQ(hung.violation, "");
+  EXPECT_EQ(hung.builds_given_up, 1);
+  EXPECT_LE(hung.jobs_ended_ms, 2 * (10000 + kBuildGivenUpUs / kMs) + 60000);
+}
+
+TEST(HungBuild, ThatEndsLateIsTriedAgain) {
+  const SimulationResult late = Simulate(HungBuildPlan(1, 15 * kSecond));
+  EXPECT_EQ(late.violation, "");
+  EXPECT_EQ(late.builds_given_up, 0);
+  EXPECT_LE(late.jobs_ended_ms, 40000);
+}
+
+// Without the budget, or without a worker that gives up, the job never ends: the checkers say so.
+TEST(HungBuild, MistakesAreFound) {
+  FaultPlan no_budget = HungBuildPlan(1, kNever);
+  no_budget.build_budget_ms = 1000000000;
+  EXPECT_NE(Simulate(no_budget).violation.find("has not ended"), std::string::npos);
+  FaultPlan no_end = HungBuildPlan(1, kNever);
+  no_end.workers[0].gives_up = false;
+  EXPECT_NE(Simulate(no_end).violation.find("has not ended"), std::string::npos);
 }
 
 // Seeds that found something, each with what it found. Targeted tests go with them.

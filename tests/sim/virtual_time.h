@@ -11,6 +11,7 @@ namespace tessera {
 
 inline constexpr int64_t kMs = 1000;  // in microseconds
 inline constexpr int64_t kSecond = 1000 * kMs;
+inline constexpr int64_t kNever = int64_t{1} << 60;
 
 class VirtualTime {
  public:

@@ -469,14 +469,16 @@ void SessionMachine::CancelTask(uint64_t id, Task* task) {
 
 // A render that hangs holds its thread for ever, and the next worker's if it is the scene's fault.
 void SessionMachine::WatchCancelledTasks() {
-  if (building_.empty() || (!build_cancelled_ && ScenesInUse().contains(building_))) {
-    build_unwanted_.reset();
-  } else if (!build_unwanted_) {
-    build_unwanted_ = now_;
-  } else if (now_ - *build_unwanted_ >= kBuildHungAfter && !build_given_up_) {
+  // A server whose patience is shorter than this worker's asks for the scene again in between.
+  const bool is_unwanted =
+      !building_.empty() && (build_cancelled_ || !ScenesInUse().contains(building_));
+  if (is_unwanted && build_unwanted_) build_unwanted_for_ += now_ - *build_unwanted_;
+  build_unwanted_.reset();
+  if (is_unwanted) build_unwanted_ = now_;
+  if (is_unwanted && build_unwanted_for_ >= kBuildHungAfter && !build_given_up_) {
     build_given_up_ = true;
     Emit(GiveUp{absl::StrCat("the building of a scene has not ended, which no lease has waited for "
-                             "since ", seconds(kBuildHungAfter).count(), " s")});
+                             "for ", seconds(kBuildHungAfter).count(), " s")});
   }
   for (auto& [id, task] : tasks_) {
     if (task.lease != 0 || task.given_up) continue;

@@ -149,7 +149,7 @@ class SessionMachine {
   static constexpr int64_t kFilterInputPixelsMax = 512 * 512;
   // A cancelled render that does no sample for so long hangs.
   static constexpr std::chrono::seconds kHungAfter{20};
-  // The building of a scene that no lease waits for any more and that has not ended for so long
+  // The building of a scene that no lease has waited for, and that has not ended, for so long
   // hangs: it has long stages in which it does not look up.
   static constexpr std::chrono::seconds kBuildHungAfter{300};
 
@@ -279,7 +279,9 @@ class SessionMachine {
   std::map<std::string, SceneEntry> scenes_;
   std::string building_;  // scene, empty = none
   bool build_cancelled_ = false;
-  std::optional<SessionTime> build_unwanted_;  // since when no lease waits for building_
+  // How long no lease has waited for building_, all in all, and until when of that.
+  SessionTime::duration build_unwanted_for_{};
+  std::optional<SessionTime> build_unwanted_;
   bool build_given_up_ = false;
   uint64_t use_counter_ = 0;
 

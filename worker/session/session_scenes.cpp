@@ -34,6 +34,8 @@ void SessionMachine::SettleLease(uint64_t id, HeldLease& held) {
     if (bytes_least <= options_.memory_bytes) MakeRoom(bytes_least);
     building_ = held.scene;
     build_cancelled_ = build_given_up_ = false;
+    build_unwanted_for_ = {};
+    build_unwanted_.reset();
     scenes_[held.scene].last_use = ++use_counter_;
     Emit(BuildScene{held.scene, jobs_[job].settings, job});
     return;

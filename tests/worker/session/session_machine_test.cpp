@@ -134,6 +134,31 @@ TEST(SessionMachine, ABuildThatHangsAfterItsCancellationEndsTheProcess) {
   EXPECT_EQ(d.given_up, 1) << "once";
 }
 
+// The server's patience is shorter, and there is no other worker.
+TEST(SessionMachine, ABuildThatIsAskedForAgainAndAgainEndsTheProcess) {
+  Driver d(1);
+  d.Serve();
+  d.Job("jobs/1", Settings());
+  const auto pass = [&](int heartbeats) {
+    for (int i = 0; i < heartbeats; ++i) {
+      d.Advance(seconds(3));
+      d.Flush();
+    }
+  };
+  const auto half = static_cast<int>(SessionMachine::kBuildHungAfter / seconds(3) / 10);
+  for (uint64_t id = 1; id <= 12; ++id) {
+    EXPECT_EQ(d.given_up, 0) << id;
+    d.Lease(id);
+    pass(half);
+    v1::CoordinatorMessage revoke;
+    revoke.mutable_revoke()->set_id(id);
+    d.Receive(revoke);
+    pass(half);
+  }
+  EXPECT_EQ(d.builds.size(), 1u);
+  EXPECT_EQ(d.given_up, 1);
+}
+
 TEST(SessionMachine, ARenderThatIsNotCancelledIsTheServersToJudge) {
   Driver d(1);
   d.ServeScene({1});
