@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -241,8 +242,13 @@ void DepthPilot::TraceSome(size_t index) {
 
 }  // namespace
 
-double DepthErrorOf(double target_error) {
-  return target_error > 0 ? kShareOfTarget * target_error : kErrorWithoutTarget;
+double DepthErrorOf(double target_error, double target_tile_error) {
+  double error = std::numeric_limits<double>::infinity();
+  if (target_error > 0) error = kShareOfTarget * target_error;
+  if (target_tile_error > 0) {
+    error = std::min(error, kShareOfTarget * target_tile_error / kRegionError);
+  }
+  return std::isfinite(error) ? error : kErrorWithoutTarget;
 }
 
 int FindDepth(const PathWalker::Parts& parts, int width, int height, double error_max) {

@@ -9,10 +9,11 @@ namespace tessera {
 
 inline constexpr int kPilotDepthMax = 1024;
 
-// What the light that is left out may add to the picture's error, sqrt(relMSE): a quarter of the
-// target, which with it becomes 3 % larger than promised (root of 1 + 1/16). Without a target (0)
-// half a step of white in a picture of 8 bits.
-double DepthErrorOf(double target_error);
+// FindDepth's error_max, sqrt(relMSE). What the light that is left out may add to a promised error
+// is a quarter of the target, which with it becomes 3 % larger than promised (root of 1 + 1/16): of
+// the frame's target, and in each region of that of the cells. Without a target (both 0) half a
+// step of white in a picture of 8 bits.
+double DepthErrorOf(double target_error, double target_tile_error);
 
 // The fewest bounces, 0 to kPilotDepthMax, after which the light that is left out of the frame is
 // relative to what is not, with confidence of two standard errors each:

@@ -78,7 +78,9 @@ RenderSettings RenderSettingsOf(const v1::JobSettings& settings, int build_threa
   render.width = settings.width();
   render.height = settings.height();
   render.max_depth = settings.max_depth();
-  if (settings.auto_depth()) render.depth_error = DepthErrorOf(settings.target_error());
+  if (settings.auto_depth()) {
+    render.depth_error = DepthErrorOf(settings.target_error(), settings.target_tile_error());
+  }
   render.seed = settings.seed();
   render.feature_end = FeatureEndOf(settings.feature_spp());
   render.isa = settings.isa().empty() ? kDefaultIsaClass : settings.isa();
@@ -108,6 +110,7 @@ std::string SceneKeyOf(const v1::JobSettings& settings) {
   if (settings.auto_depth()) {
     scene.set_auto_depth(true);
     scene.set_target_error(settings.target_error());
+    scene.set_target_tile_error(settings.target_tile_error());
   }
   scene.set_seed(settings.seed());
   scene.set_feature_spp(settings.feature_spp());

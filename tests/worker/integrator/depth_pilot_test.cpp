@@ -115,9 +115,13 @@ TEST(DepthPilotTest, ALooserBoundNeedsNoMoreBounces) {
 }
 
 TEST(DepthPilotTest, TheBoundFollowsTheTarget) {
-  EXPECT_DOUBLE_EQ(DepthErrorOf(0.02), 0.005);
-  EXPECT_DOUBLE_EQ(DepthErrorOf(0.1), 0.025);
-  EXPECT_DOUBLE_EQ(DepthErrorOf(0), 0.005);
+  EXPECT_DOUBLE_EQ(DepthErrorOf(0.02, 0), 0.005);
+  EXPECT_DOUBLE_EQ(DepthErrorOf(0.1, 0), 0.025);
+  EXPECT_DOUBLE_EQ(DepthErrorOf(0, 0), 0.005);
+  // A region may leave out four times the bound: a quarter of the cells' target.
+  EXPECT_DOUBLE_EQ(DepthErrorOf(0, 0.16), 0.01);
+  EXPECT_DOUBLE_EQ(DepthErrorOf(0.1, 0.16), 0.01);
+  EXPECT_DOUBLE_EQ(DepthErrorOf(0.02, 0.16), 0.005);
 }
 
 TEST(DepthPilotTest, APictureHasTheBitsOfTheNumberThatIsFound) {

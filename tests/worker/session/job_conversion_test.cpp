@@ -133,6 +133,10 @@ TEST(JobConversion, ADepthThatAPilotFindsFollowsTheTarget) {
   settings.set_target_error(0.1);
   EXPECT_DOUBLE_EQ(RenderSettingsOf(settings, 1).depth_error, 0.025);
   EXPECT_NE(SceneKeyOf(settings), key);
+  const std::string frame_key = SceneKeyOf(settings);
+  settings.set_target_tile_error(0.16);
+  EXPECT_DOUBLE_EQ(RenderSettingsOf(settings, 1).depth_error, 0.01);
+  EXPECT_NE(SceneKeyOf(settings), frame_key);
 }
 
 TEST(JobConversion, ReportGivesTheCameraInWorldSpace) {
