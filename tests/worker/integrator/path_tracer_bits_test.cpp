@@ -132,6 +132,43 @@ TEST(PathTracerBitsTest, BuildThreadsMoveNothingOfALargeMeshWithCoincidentTriang
   for (const TileStatistics& tile : tiles) EXPECT_TRUE(PixelsAgree(tiles[0], tile));
 }
 
+// What is chosen for a scene when it is loaded (docs/model-by-need.md) moves nothing. The rich twin
+// has the same surfaces, with textures of one white texel and alpha tests that all pass, and glass
+// where no path comes: constants are no more read in place of textures, traversal asks for alpha,
+// and an account is kept of the solids that a path is in.
+TEST(PathTracerBitsTest, ChoicesForPlainScenesMoveNothing) {
+  const auto render = [](std::unique_ptr<Scene> scene) {
+    RenderSettings settings;
+    settings.width = kWidth;
+    settings.height = kHeight;
+    settings.branches = 4;
+    return RenderAll(std::move(scene), settings, kSpp);
+  };
+  std::unique_ptr<Scene> rich = CornellBox();
+  Texture white;
+  white.width = white.height = 1;
+  white.rgba = {255, 255, 255, 255};
+  rich->textures.push_back(white);
+  for (Material& material : rich->materials) {
+    if (material.emission != V3f(0)) continue;
+    material.base_color_texture.texture = 0;
+    material.metallic_roughness_texture.texture = 0;
+    material.alpha_mode = AlphaMode::kMask;
+  }
+  Material glass;
+  glass.metallic = 0;
+  glass.transmission = 1;
+  glass.thickness = 1;
+  // Inside a block.
+  AddMesh(Sphere(AddMaterial(glass, rich.get()), {-0.4f, 0.5f, -0.3f}, 0.1f, 8, true), rich.get());
+  const TileStatistics plain = render(CornellBox());
+  EXPECT_TRUE(PixelsAgree(plain, render(std::move(rich))));
+  // Surfaces that differ are seen: the test can fail.
+  std::unique_ptr<Scene> other = CornellBox();
+  other->materials[0].base_color.x *= 0.999f;
+  EXPECT_FALSE(PixelsAgree(plain, render(std::move(other))));
+}
+
 TEST(PathTracerBitsTest, SeedsDiffer) {
   RenderSettings settings;
   settings.width = kWidth;
