@@ -275,6 +275,7 @@ void Coordinator::StopWork(Job& job) {
   if (job.IsOpen() || job.record.state() == v1::JOB_STATE_PAUSED) return;
   for (auto& [session, worker] : workers_) {
     worker->ns_per_sample.erase(job.id);
+    worker->built.erase(job.id);
     if (worker->known_jobs.erase(job.id) == 0) continue;
     v1::CoordinatorMessage message;
     message.mutable_forget()->set_job(job.record.name());

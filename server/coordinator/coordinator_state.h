@@ -144,6 +144,10 @@ struct Coordinator::Worker {
   // monotonic moment.
   std::map<JobId, int64_t> retry_assets_ms;
   std::map<JobId, int64_t> building_ms;  // whose scenes it builds -> since when, monotonic
+  // One of them has not come in time: until then it gets nothing that has to be built, so that it
+  // sees that nobody waits for that scene, whatever jobs have it.
+  int64_t no_builds_before_ms = 0;
+  std::set<JobId> built;  // whose scenes it has, as far as is known
   int64_t samples = 0;
   std::map<JobId, double> ns_per_sample;  // of one thread, lately
   double render_ms = 0;  // of a lease, lately; 0 = unknown
@@ -154,6 +158,7 @@ struct Coordinator::Worker {
   double slowness = 1;  // its time over the average worker's, lately
 
   bool RetriesLater(JobId job, int64_t now_ms) const {
+    if (now_ms < no_builds_before_ms && !built.contains(job)) return true;
     const auto retry = retry_assets_ms.find(job);
     return retry != retry_assets_ms.end() && now_ms < retry->second;
   }

@@ -157,7 +157,7 @@ bool Coordinator::BuildMayGoOn(Worker& worker, JobId id) {
       worker.hello.host(), " has not built the scene within ", config_.build_budget_ms / 1000,
       " s: look at that worker's log, or start the server with a larger --build-budget");
   worker.building_ms.erase(id);
-  worker.retry_assets_ms[id] = now_.monotonic_ms + config_.build_budget_ms;
+  worker.no_builds_before_ms = now_.monotonic_ms + config_.build_budget_ms;
   waiting_changed_ = true;
   return false;
 }
@@ -171,7 +171,8 @@ void Coordinator::On(HeartbeatEvent& event) {
   if (worker == nullptr) return;
   bool any_moves = std::exchange(worker->has_sent, false);
   std::vector<LeaseId> waiting;
-  std::set<JobId> stuck;
+  std::set<JobId> building;
+  bool is_stuck = false;
   for (const v1::LeaseProgress& progress : event.leases) {
     RenewFilterLease(event.session, progress.id());
     const auto it = leases_.find(progress.id());
@@ -182,12 +183,15 @@ void Coordinator::On(HeartbeatEvent& event) {
     const JobId job = it->second.job;
     if (progress.state() == v1::LeaseProgress::STATE_BUILDING) {
       it->second.had_to_build = true;
-      if (stuck.contains(job) || !BuildMayGoOn(*worker, job)) {
-        stuck.insert(job);
-        continue;
-      }
+      worker->built.erase(job);
+      building.insert(job);
+      is_stuck = is_stuck || !BuildMayGoOn(*worker, job);
+      if (is_stuck) continue;
     } else {
-      worker->building_ms.erase(job);
+      worker->built.insert(job);
+      if (worker->building_ms.erase(job) > 0) {  // the next one has its time from here on
+        for (auto& [other, since_ms] : worker->building_ms) since_ms = now_.monotonic_ms;
+      }
     }
     switch (progress.state()) {
       case v1::LeaseProgress::STATE_WAITING:
@@ -203,7 +207,12 @@ void Coordinator::On(HeartbeatEvent& event) {
     }
     Renew(it->first);
   }
-  for (const JobId job : stuck) DropLeasesOf(*worker, job, 0);
+  // A worker builds one scene at a time: the others wait for the same.
+  for (const JobId job : building) {
+    if (!is_stuck) break;
+    worker->building_ms.erase(job);
+    DropLeasesOf(*worker, job, 0);
+  }
   if (!any_moves) return;
   for (const LeaseId id : waiting) {
     if (leases_.contains(id)) Renew(id);

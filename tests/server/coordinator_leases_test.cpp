@@ -312,6 +312,31 @@ TEST(CoordinatorLeases, LookingMovesTheOrderAndNoBit) {
   EXPECT_FALSE(farm.Job(job).settings().has_look());
 }
 
+// Jobs of one scene: a worker that hangs on it must see that nobody waits, or it never gives up.
+TEST(CoordinatorLeases, AWorkerThatHangsOnAScenesBuildingIsAskedForNoOther) {
+  CoordinatorConfig config = SmallConfig();
+  config.build_budget_ms = 10000;
+  SimulatedFarm farm(config);
+  farm.Create(SmallSettings(2));
+  const SessionId stuck = farm.Connect(8, "stuck");
+  int64_t idle_ms = 0, waited_ms = 0;
+  for (; waited_ms < 60000; waited_ms += 250) {
+    if (waited_ms % 4000 == 0) farm.Create(SmallSettings(2));
+    farm.now_ms += 250;
+    HeartbeatEvent event{stuck};
+    for (const v1::Lease& lease : farm.workers[stuck].leases) {
+      v1::LeaseProgress& progress = event.leases.emplace_back();
+      progress.set_id(lease.id());
+      progress.set_state(v1::LeaseProgress::STATE_BUILDING);
+    }
+    if (event.leases.empty()) idle_ms += 250;
+    farm.Post(std::move(event));
+    farm.Post(TickEvent{});
+  }
+  EXPECT_GE(idle_ms, waited_ms / 3);
+  EXPECT_LE(idle_ms, 2 * waited_ms / 3) << "it is asked again, for it may only have been slow";
+}
+
 TEST(CoordinatorLeases, ABuildBeyondItsBudgetIsAnotherWorkers) {
   CoordinatorConfig config = SmallConfig();
   config.build_budget_ms = 10000;
