@@ -47,6 +47,8 @@ constexpr Constant kConstants[] = {
      [](RegressionSettings* s) -> Slot { return &s->weights.excuse_ratio; }},
     {"lent", "ratio of variances that may be lent", 1, 1e6f,
      [](RegressionSettings* s) -> Slot { return &s->weights.lent_ratio; }},
+    {"outlier", "ratio of variances above which a pixel may be an outlier", 1, 1e6f,
+     [](RegressionSettings* s) -> Slot { return &s->outlier_ratio; }},
     {"falloff", "weights end at exp(-2^n)", 1, 5,
      [](RegressionSettings* s) -> Slot { return &s->weights.falloff_squarings; }},
 };

@@ -211,7 +211,8 @@ SmoothFeatures RegressionFrame::FeaturesOver(const PixelRect& rect) const {
 
 void RegressionFrame::MakeFirst(const FramePlanes& planes, const PixelRect& rect) {
   const SmoothFeatures features = FeaturesOver(rect.Expand(settings_.pass_reach_px()));
-  RegressionInput input(rect.Expand(settings_.pass_reach_px() + 1), frame_, planes);
+  RegressionInput input(rect.Expand(settings_.pass_reach_px() + 1), frame_, planes,
+                        settings_.outlier_ratio);
   const ColorHalves color = input.color;
   Probe(settings_.probe_step, &input);
   const ColorHalves* const colors[] = {&color, &input.color};
@@ -222,7 +223,8 @@ void RegressionFrame::MakeFirst(const FramePlanes& planes, const PixelRect& rect
 
 void RegressionFrame::MakeSecond(const FramePlanes& planes, const PixelRect& rect) {
   const SmoothFeatures features = FeaturesOver(rect.Expand(settings_.pass_reach_px()));
-  RegressionInput input(rect.Expand(settings_.first_of_second_px()), frame_, planes);
+  RegressionInput input(rect.Expand(settings_.first_of_second_px()), frame_, planes,
+                        settings_.outlier_ratio);
   const Pilot pilot =
       MakePilot(input, {Part(first_[0], input.bounds), Part(first_[1], input.bounds)}, settings_,
                 rect.Expand(settings_.pass_reach_px() + 1));

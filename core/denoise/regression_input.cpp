@@ -18,24 +18,23 @@ constexpr float kTiny = 1e-30f;
 float Cut(float value, float limit) { return value < limit ? std::max(value, -limit) : limit; }
 
 // The squared differences of the halves, as variances of the mean, over the samples' variances:
-// sums over the channels and the pixels around each pixel of `bounds`.
-Plane VarianceRatio(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes) {
-  const PixelRect read = bounds.Expand(kVarianceRadiusPx).Intersect(frame);
+// sums over the channels and the pixels around each pixel of `bounds`; `read` are those pixels.
+Plane VarianceRatio(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes,
+                    const PixelRect& read, const OutlierReader& reader) {
   Plane difference(static_cast<size_t>(read.area()));
   Plane spread(difference.size());
   size_t to = 0;
   for (int y = read.y_begin; y < read.y_end; ++y) {
     int64_t from = planes.bounds.IndexOf(read.x_begin, y);
     for (int x = read.x_begin; x < read.x_end; ++x, ++from, ++to) {
-      const auto p = static_cast<size_t>(from);
-      const uint32_t count = planes.samples[p];
+      const uint32_t count = planes.samples[static_cast<size_t>(from)];
       if (count < 2) continue;
       const float share_b = static_cast<float>(count / 2) / static_cast<float>(count);
+      const SampledPixel pixel = reader.Read(x, y);
       for (size_t c = 0; c < 3; ++c) {
-        const float d = Cut(planes.color_half[0][c][p], kValueMax) -
-                        Cut(planes.color_half[1][c][p], kValueMax);
+        const float d = pixel.half[0][c] - pixel.half[1][c];
         difference[to] += d * d * (share_b * (1.0f - share_b));
-        spread[to] += Cut(planes.sample_variance_of_mean[c][p], kVarianceMax);
+        spread[to] += pixel.variance[c];
       }
     }
   }
@@ -46,9 +45,8 @@ Plane VarianceRatio(const PixelRect& bounds, const PixelRect& frame, const Frame
   return ratio;
 }
 
-// Calls set(from, inside, to) for each pixel of `bounds`: the nearest pixel inside the frame, in
-// planes.bounds and in what of `bounds` is inside. Returns which lie in the frame and have two
-// samples.
+// Calls set(x, y, to) for each pixel of `bounds`: the nearest pixel inside the frame. Returns which
+// lie in the frame and have two samples.
 template <typename Set>
 Plane ForEachPixel(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes,
                    const Set& set) {
@@ -61,7 +59,7 @@ Plane ForEachPixel(const PixelRect& bounds, const PixelRect& frame, const FrameP
       const int from_x = std::clamp(x, inside.x_begin, inside.x_end - 1);
       const auto from = static_cast<size_t>(planes.bounds.IndexOf(from_x, from_y));
       known[to] = planes.samples[from] >= 2 && frame.Contains(x, y) ? 1.0f : 0.0f;
-      set(from, static_cast<size_t>(inside.IndexOf(from_x, from_y)), to);
+      set(from_x, from_y, to);
     }
   }
   return known;
@@ -70,23 +68,27 @@ Plane ForEachPixel(const PixelRect& bounds, const PixelRect& frame, const FrameP
 }  // namespace
 
 RegressionInput::RegressionInput(const PixelRect& rect, const PixelRect& frame,
-                                 const FramePlanes& planes)
+                                 const FramePlanes& planes, float outlier_ratio)
     : bounds(rect), variance_sum(SlackArea(rect)), share_a(SlackArea(rect)) {
   for (Planes3* three : {&color[0], &color[1], &variance}) {
     for (Plane& plane : *three) plane.resize(SlackArea(bounds));
   }
-  const Plane ratio = VarianceRatio(bounds, frame, planes);
-  known = ForEachPixel(bounds, frame, planes, [&](size_t p, size_t inside, size_t to) {
-    const uint32_t count = planes.samples[p];
+  const PixelRect inside = bounds.Intersect(frame);
+  const PixelRect read = bounds.Expand(kVarianceRadiusPx).Intersect(frame);
+  const OutlierReader reader(planes, frame, read, outlier_ratio);
+  const Plane ratio = VarianceRatio(bounds, frame, planes, read, reader);
+  known = ForEachPixel(bounds, frame, planes, [&](int x, int y, size_t to) {
+    const uint32_t count = planes.samples[static_cast<size_t>(planes.bounds.IndexOf(x, y))];
+    const SampledPixel pixel = reader.Read(x, y);
     share_a[to] =
         count >= 2 ? static_cast<float>(count - count / 2) / static_cast<float>(count) : 1.0f;
     for (size_t c = 0; c < 3; ++c) {
-      const float mean = Cut(planes.color[c][p], kValueMax);
-      color[0][c][to] = Cut(planes.color_half[0][c][p], kValueMax);
-      color[1][c][to] = Cut(planes.color_half[1][c][p], kValueMax);
-      const float spread = Cut(planes.sample_variance_of_mean[c][p], kVarianceMax);
+      const float mean = pixel.mean[c];
+      color[0][c][to] = pixel.half[0][c];
+      color[1][c][to] = pixel.half[1][c];
       variance[c][to] =
-          Cut(spread * ratio[inside], kVarianceMax) + kRoundingVariance * mean * mean + kTiny;
+          Cut(pixel.variance[c] * ratio[static_cast<size_t>(inside.IndexOf(x, y))], kVarianceMax) +
+          kRoundingVariance * mean * mean + kTiny;
       variance_sum[to] += variance[c][to];
     }
   });
@@ -107,7 +109,8 @@ RawFeatures::RawFeatures(const PixelRect& rect, const PixelRect& frame, const Fr
     value[k].resize(SlackArea(bounds));
     variance[k].resize(SlackArea(bounds));
   }
-  known = ForEachPixel(bounds, frame, planes, [&](size_t p, size_t /*inside*/, size_t to) {
+  known = ForEachPixel(bounds, frame, planes, [&](int x, int y, size_t to) {
+    const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
     for (size_t k = 0; k < kNumFeatures; ++k) {
       const float mean = Cut((*means[k])[p], kValueMax);
       value[k][to] = mean;

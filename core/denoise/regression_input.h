@@ -3,8 +3,10 @@
 #pragma once
 
 #include <array>
+#include <limits>
 
 #include "core/denoise/denoiser.h"
+#include "core/denoise/outliers.h"
 
 namespace tessera {
 
@@ -24,8 +26,11 @@ inline size_t SlackArea(const PixelRect& bounds) {
 
 struct RegressionInput {
   // Reads what lies inside both `bounds` and `frame` from `planes`, and around it what the
-  // variances need (kVarianceRadiusPx).
-  RegressionInput(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes);
+  // variances and the outliers need (kInputRadiusPx). Pixels that are noisier than their
+  // surroundings by `outlier_ratio` are shrunk toward these as far as their difference may be
+  // chance (OutlierReader); +inf: everything is as sampled.
+  RegressionInput(const PixelRect& bounds, const PixelRect& frame, const FramePlanes& planes,
+                  float outlier_ratio = std::numeric_limits<float>::infinity());
 
   PixelRect bounds;                       // all planes are row-major over it, SlackArea long
   std::array<Planes3, kNumHalves> color;  // means of the halves
@@ -47,7 +52,8 @@ struct RawFeatures {
   Plane known;
 };
 
-// The variance of a pixel reads the halves this far around it.
+// The variance of a pixel reads the halves this far around it, outliers shrunk.
 inline constexpr int kVarianceRadiusPx = 4;
+inline constexpr int kInputRadiusPx = kVarianceRadiusPx + kOutlierRadiusPx;
 
 }  // namespace tessera

@@ -54,20 +54,26 @@ void CompareSquares(const RegressionInput& input, Filtered* filtered) {
   }
 }
 
-// The estimate of the error has no bias but what features share with the noise.
-Filtered FilterAndJudge(const RegressionInput& input, const PixelRect& frame,
+// The estimate of the error has no bias but what features share with the noise; what shrinking
+// outliers takes from the light is in it, as it compares with what was sampled.
+Filtered FilterAndJudge(const RegressionInput& input, const RegressionInput& sampled,
+                        const PixelRect& frame,
                         const Candidates& candidates, const Candidates& probed_candidates,
                         const PixelRect& inside, const RegressionSettings& settings) {
   const int radius_px = settings.risk_radius_px;
   Filtered filtered;
-  filtered.picture = BlendByRisk(input, frame, candidates, inside, radius_px);
+  filtered.picture = BlendByRisk(input, sampled, frame, candidates, inside, radius_px);
   filtered.risk = filtered.picture.residual;
-  CompareSquares(input, &filtered);
+  CompareSquares(sampled, &filtered);
   RegressionInput probed = input;
   Probe(settings.probe_step, &probed);
   const BlendedPicture probed_picture =
-      BlendByRisk(probed, frame, probed_candidates, inside, radius_px);
-  const Planes3 covariance = NoiseCovariance(input, probed, filtered.picture, probed_picture,
+      BlendByRisk(probed, sampled, frame, probed_candidates, inside, radius_px);
+  // The probe moves an outlier by what is left of its noise: the part of a move of its samples that
+  // gets there.
+  RegressionInput moved = sampled;
+  Probe(settings.probe_step, &moved);
+  const Planes3 covariance = NoiseCovariance(sampled, moved, filtered.picture, probed_picture,
                                              settings.probe_step);
   for (size_t c = 0; c < 3; ++c) {
     for (size_t i = 0; i < filtered.risk[c].size(); ++i) {
@@ -156,9 +162,12 @@ void WriteRaw(const FramePlanes& planes, int x, int y, FilteredPlanes* out) {
 FilteredPlanes BlendAndJudge(const FramePlanes& planes, const PixelRect& frame,
                              const Candidates& candidates, const Candidates& probed,
                              const PixelRect& window, const RegressionSettings& settings) {
-  const RegressionInput input(window.Expand(settings.picture_reach_px()), frame, planes);
+  const PixelRect read = window.Expand(settings.picture_reach_px());
+  const RegressionInput sampled(read, frame, planes);
+  const RegressionInput input(read, frame, planes, settings.outlier_ratio);
   const PixelRect inside = window.Expand(settings.error_radius_px).Intersect(frame);
-  const Filtered filtered = FilterAndJudge(input, frame, candidates, probed, inside, settings);
+  const Filtered filtered = FilterAndJudge(input, sampled, frame, candidates, probed, inside,
+                                           settings);
   const PooledErrors errors(filtered, window, settings.error_radius_px);
   FilteredPlanes out(window);
   size_t w = 0;

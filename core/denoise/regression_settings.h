@@ -40,6 +40,11 @@ struct RegressionSettings {
   // as it is pooled relative to the noise.
   int risk_radius_px = 4;
   int error_radius_px = 9;
+  // How much noisier than the mean of the pixels around it a pixel must be to be taken for an
+  // outlier (OutlierReader): an estimate from four samples, the fewest that are worth filtering,
+  // exceeds the truth by this factor in one case of a thousand, exp(3.09 sqrt(2 / 3)), as
+  // WeightSettings::lent_ratio but against a mean that is known.
+  float outlier_ratio = 12.5f;
   // Of the probe, in standard deviations: small against the noise, that the filter's response is
   // about linear, and large against rounding. The estimate does not depend on it where the filter
   // is differentiable.
@@ -56,7 +61,7 @@ struct RegressionSettings {
   // How far around news in the planes each stage changes; a patch has a radius of one.
   int feature_news_px() const { return prefilter_radius_px + 1; }
   int first_news_px() const {
-    return pass_reach_px() + std::max(1 + kVarianceRadiusPx, feature_news_px());
+    return pass_reach_px() + std::max(1 + kInputRadiusPx, feature_news_px());
   }
   int second_news_px() const { return first_of_second_px() + first_news_px(); }
   int reach_px() const { return picture_reach_px() + second_news_px(); }

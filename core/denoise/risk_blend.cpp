@@ -158,11 +158,11 @@ struct PooledTerms {
 
 }  // namespace
 
-BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
-                           std::span<const PassOutput> candidates, const PixelRect& window,
-                           int radius_px) {
+BlendedPicture BlendByRisk(const RegressionInput& input, const RegressionInput& sampled,
+                           const PixelRect& frame, std::span<const PassOutput> candidates,
+                           const PixelRect& window, int radius_px) {
   const size_t n = candidates.size();
-  TESSERA_CHECK(n == 1 || n == 2);
+  TESSERA_CHECK((n == 1 || n == 2) && sampled.bounds == input.bounds);
   Terms terms(window.Expand(radius_px).Intersect(frame), n);
   for (int y = terms.bounds.y_begin; y < terms.bounds.y_end; ++y) {
     n == 1 ? SetTerms<1>(input, candidates, y, &terms) : SetTerms<2>(input, candidates, y, &terms);
@@ -199,11 +199,13 @@ BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
         const float filtered_a = blend(0, a);
         const float filtered_b = blend(1, b);
         const float shares = share_a * share_b;
-        const float raw = shares * ((a - b) * (a - b));
         out.color[c][i] = share_a * filtered_a + share_b * filtered_b;
         out.noise[c][i] = shares * ((filtered_a - filtered_b) * (filtered_a - filtered_b));
-        const float moved = out.color[c][i] - (share_a * a + share_b * b);
-        out.residual[c][i] = moved * moved - raw;
+        const float sampled_a = sampled.color[0][c][p];
+        const float sampled_b = sampled.color[1][c][p];
+        const float moved = out.color[c][i] - (share_a * sampled_a + share_b * sampled_b);
+        out.residual[c][i] =
+            moved * moved - shares * ((sampled_a - sampled_b) * (sampled_a - sampled_b));
       }
     }
   }

@@ -14,8 +14,8 @@ struct BlendedPicture {
   PixelRect bounds;
   Planes3 color;
   // Of each channel, not pooled, may be negative: (filtered - raw)^2 less the raw mean's variance
-  // by its halves. The squared error without bias once twice the covariance of filtered colour and
-  // raw noise is added.
+  // by its halves, all of them as sampled. The squared error without bias once twice the covariance
+  // of filtered colour and raw noise is added.
   Planes3 residual;
   Planes3 noise;  // the part of the squared error that the filtered halves differ by
 };
@@ -29,8 +29,10 @@ struct BlendedPicture {
 // variance, pooled alike. So the data speak where they are louder than their noise. Where the
 // blend's risk is above the raw mean's as the halves show it, (A - B)^2 pooled alike, the raw mean
 // stays: both come from the same samples, so that their noise cancels.
-BlendedPicture BlendByRisk(const RegressionInput& input, const PixelRect& frame,
-                           std::span<const PassOutput> candidates, const PixelRect& window,
-                           int radius_px);
+// `sampled` is `input` before its outliers were shrunk: it decides nothing, the residual is told
+// from it.
+BlendedPicture BlendByRisk(const RegressionInput& input, const RegressionInput& sampled,
+                           const PixelRect& frame, std::span<const PassOutput> candidates,
+                           const PixelRect& window, int radius_px);
 
 }  // namespace tessera

@@ -42,26 +42,26 @@ class RiskBlend : public ::testing::Test {
 
 TEST_F(RiskBlend, PrefersTheBetter) {
   const PassOutput candidates[] = {Candidate(0.0f, 0.02f, 1), Candidate(0.6f, 0.0f, 2)};
-  const double error = Error(BlendByRisk(input_, kFrame, candidates, kFrame, 4));
+  const double error = Error(BlendByRisk(input_, input_, kFrame, candidates, kFrame, 4));
   EXPECT_LT(error, 0.02 * RelativeError(Candidate(0.6f, 0.0f, 2).color[0], frame_.truth));
 }
 
 TEST_F(RiskBlend, AveragesWhatIsEquallyGood) {
   const PassOutput candidates[] = {Candidate(0.0f, 0.1f, 1), Candidate(0.0f, 0.1f, 2)};
-  const double one = Error(BlendByRisk(input_, kFrame, {candidates, 1}, kFrame, 4));
-  const double two = Error(BlendByRisk(input_, kFrame, candidates, kFrame, 4));
+  const double one = Error(BlendByRisk(input_, input_, kFrame, {candidates, 1}, kFrame, 4));
+  const double two = Error(BlendByRisk(input_, input_, kFrame, candidates, kFrame, 4));
   EXPECT_LT(two, 0.6 * one);
 }
 
 TEST_F(RiskBlend, OppositeErrorsCancel) {
   const PassOutput candidates[] = {Candidate(0.5f, 0.0f, 1), Candidate(-0.5f, 0.0f, 2)};
   const double one = RelativeError(candidates[0].color[0], frame_.truth);
-  EXPECT_LT(Error(BlendByRisk(input_, kFrame, candidates, kFrame, 4)), 0.05 * one);
+  EXPECT_LT(Error(BlendByRisk(input_, input_, kFrame, candidates, kFrame, 4)), 0.05 * one);
 }
 
 TEST_F(RiskBlend, TheRawMeanStaysWhereNothingIsBetter) {
   const PassOutput candidates[] = {Candidate(2.0f, 0.0f, 1), Candidate(3.0f, 0.1f, 2)};
-  const BlendedPicture blend = BlendByRisk(input_, kFrame, candidates, kFrame, 4);
+  const BlendedPicture blend = BlendByRisk(input_, input_, kFrame, candidates, kFrame, 4);
   for (size_t i = 0; i < blend.color[0].size(); ++i) {
     EXPECT_NEAR(blend.color[0][i], frame_.planes.color[0][i], 1e-6f);
   }
@@ -81,7 +81,7 @@ TEST_F(RiskBlend, NeighboursMayHaveUnequalHalves) {
   }
   const RegressionInput input(kFrame, kFrame, frame.planes);
   const PassOutput candidates[] = {Candidate(0.26f, 0.0f, 1)};
-  const BlendedPicture blend = BlendByRisk(input, kFrame, candidates, kFrame, 4);
+  const BlendedPicture blend = BlendByRisk(input, input, kFrame, candidates, kFrame, 4);
   size_t num_filtered = 0;
   for (const size_t i : pixels) num_filtered += blend.color[1][i] == candidates[0].color[0][1][i];
   EXPECT_GT(4 * num_filtered, 3 * pixels.size());
@@ -92,7 +92,7 @@ TEST_F(RiskBlend, NeighboursMayHaveUnequalHalves) {
 TEST_F(RiskBlend, RiskIsUnbiasedForIndependentCandidates) {
   const PassOutput candidates[] = {Candidate(0.1f, 0.1f, 4)};
   double risk = 0, truth = 0, square = 0;
-  const BlendedPicture blend = BlendByRisk(input_, kFrame, candidates, kFrame, 4);
+  const BlendedPicture blend = BlendByRisk(input_, input_, kFrame, candidates, kFrame, 4);
   for (size_t c = 0; c < 3; ++c) {
     for (size_t i = 0; i < blend.color[c].size(); ++i) {
       const double scale = 1 / (double{frame_.truth[c][i]} * frame_.truth[c][i] + 0.01);
