@@ -12,6 +12,8 @@ namespace tessera {
 namespace {
 
 constexpr float kVarianceMax = kRegressionValueMax * kRegressionValueMax;
+// The fewest that tell of their own variance: E(1 / s^2) is infinite for three.
+constexpr float kSamplesMin = 4;
 constexpr size_t kRank = 3;
 
 // False for NaN.
@@ -76,6 +78,9 @@ OutlierReader::OutlierReader(const FramePlanes& planes, const PixelRect& frame,
 // The part of the difference to `next`, which is set to the neighbour, that stays.
 float OutlierReader::ShareKept(const PixelRect& read, const Plane& variance, const Plane& known,
                                int x, int y, SampledPixel* next) const {
+  const auto samples =
+      static_cast<float>(planes_.samples[static_cast<size_t>(planes_.bounds.IndexOf(x, y))]);
+  if (samples < kSamplesMin) return 1.0f;
   const SampledPixel pixel = ReadSampled(x, y);
   float others = 0, count = 0;
   std::array<float, kRank> brightest;
@@ -108,7 +113,10 @@ float OutlierReader::ShareKept(const PixelRect& read, const Plane& variance, con
     const float difference = pixel.mean[c] - next->mean[c];
     square += difference * difference;
   }
-  const float sure = square > 2.0f * own ? (square - 2.0f * own) / square : 0.0f;
+  // Large where few samples have found the variance: E(1 / s^2) = (n - 1) / (n - 3) / sigma^2.
+  const float own_risk = own * ((samples - 1.0f) / (samples - 3.0f));
+  const float next_risk = square - own_risk;
+  const float sure = next_risk < own_risk ? std::max(0.0f, next_risk) / own_risk : 1.0f;
   const float common = std::min(1.0f, ratio_ * (others / count) / own);
   return common + (1.0f - common) * sure;
 }

@@ -20,18 +20,19 @@ struct SampledPixel {
   std::array<float, 3> variance;                      // the samples' own, of the mean
 };
 
-// Reads pixels of a frame, outliers among them shrunk. A pixel is one if, v being its variance over
-// the channels and its surroundings the 5x5 pixels around it that have two samples,
+// Reads pixels of a frame, outliers among them shrunk. A pixel of four samples and more is one if,
+// v being its variance over the channels and its surroundings the 5x5 pixels around it that have
+// two samples,
 //   v is above `ratio` times the mean of the others there: certainly noisier than they are, and
 //   it is brighter than the third brightest of the eight next to it: the corner of a surface of
 //   its own, two pixels wide or more, has three neighbours alike.
 // Of the difference d to that neighbour, the part ratio * mean / v < 1 stays whatever it is, and of
-// the rest as much as its risk allows: as estimates of the pixel, the neighbour has the squared
-// error d^2 - v and its own samples v, both without bias, and max(0, (d^2 - v) - v) / d^2 is kept
-// (a non-negative garrotte, Breiman 1995, whose threshold is where the risks are equal).
-// What really differs from its surroundings is kept once there are samples enough (v falls, d does
-// not): the shrunk mean converges to the raw one. Until then light is lost, which whoever compares
-// the result with the samples as they are will find. Never brightens.
+// the rest the neighbour's risk over the pixel's own, at most all: as estimates of the pixel, its
+// own samples have the squared error u = v (n - 1) / (n - 3) (what 1 / v says on average), and the
+// neighbour d^2 - u, so max(0, d^2 - u) / u is kept. What differs from its surroundings by more
+// than sqrt(2) of its own standard errors is as sampled, and the shrunk mean converges to the raw
+// one (v falls with samples, d does not). Until then light is lost, which whoever compares the
+// result with the samples as they are will find. Never brightens.
 class OutlierReader {
  public:
   // Reads pixels of `rect`, which must lie in `frame`, from `planes`, whose bounds contain `rect`

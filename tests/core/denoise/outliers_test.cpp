@@ -1,6 +1,9 @@
 #include "core/denoise/outliers.h"
 
+#include <algorithm>
 #include <limits>
+#include <tuple>
+#include <utility>
 
 #include "core/denoise/confidence.h"
 #include "core/denoise/regression_input.h"
@@ -47,19 +50,44 @@ TEST_F(Outliers, WhatIsAboutAsNoisyAsItsSurroundingsIsAsSampled) {
   EXPECT_EQ(Read(3, 8, kInfinity), 3.0f);
 }
 
-// d^2 = 3 * 4 over three channels, v = 3 * 4 / k: all of the difference is lost for k <= 2, and
-// 1 - 2 / k of it stays beyond, but for the part that is as noisy as its surroundings.
+// d^2 = 3 * 4 over three channels, u = 3 * 4 / k: all of the difference is lost for k <= 1 and all
+// is kept for k >= 2, but for the part that is as noisy as its surroundings. u = 3 v for 4 samples.
 TEST_F(Outliers, ChanceIsShrunkAndCertaintyStays) {
-  for (const float k : {1.0f, 2.0f, 3.0f, 8.0f, 20.0f}) {
-    const float variance = 4.0f / k;
+  for (const float k : {0.5f, 1.0f, 1.25f, 1.75f, 2.0f, 5.0f}) {
+    const float variance = 4.0f / k / 3.0f;
     Set(3, 8, 3.0f, variance);
     const float common = kRatio * 0.01f / variance;
-    const float kept = common + (1.0f - common) * std::max(0.0f, 1.0f - 2.0f / k);
+    const float kept = common + (1.0f - common) * std::clamp(k - 1.0f, 0.0f, 1.0f);
     EXPECT_NEAR(Read(3, 8), 1.0f + 2.0f * kept, 1e-5f) << k;
     const SampledPixel pixel = OutlierReader(planes_, kFrame, kFrame, kRatio).Read(3, 8);
     EXPECT_NEAR(pixel.half[0][0] - pixel.half[1][0], kept, 1e-5f);
     EXPECT_NEAR(pixel.variance[2], kept * kept * variance + (1 - kept) * (1 - kept) * 0.01f, 1e-5f);
   }
+}
+
+// One hit of n samples and two of four may be chance, three of four and two of many are none.
+TEST_F(Outliers, HitsOfALightCount) {
+  for (const auto& [hits, samples, is_certain] :
+       {std::tuple(1.0f, 4u, false), {2.0f, 4u, false}, {3.0f, 4u, true}, {1.0f, 64u, false},
+        {3.0f, 64u, true}, {9.0f, 1024u, true}}) {
+    const auto n = static_cast<float>(samples);
+    const float share = hits / n;  // of samples that are 100, the others are 0
+    Set(3, 8, 100 * share, 1e4f * share * (1 - share) / (n - 1));
+    planes_.samples[static_cast<size_t>(kFrame.IndexOf(3, 8))] = samples;
+    for (int y = 7; y < 10; ++y) {
+      for (int x = 2; x < 5; ++x) {
+        if (x != 3 || y != 8) Set(x, y, 0.0f, 0.01f);
+      }
+    }
+    EXPECT_EQ(Read(3, 8) > 0.9f * 100 * share, is_certain) << hits << " of " << samples;
+  }
+}
+
+TEST_F(Outliers, FewerSamplesThanFourDecideNothing) {
+  Set(3, 8, 3.0f, 50.0f);
+  EXPECT_LT(Read(3, 8), 1.1f);
+  planes_.samples[static_cast<size_t>(kFrame.IndexOf(3, 8))] = 3;
+  EXPECT_EQ(Read(3, 8), 3.0f);
 }
 
 TEST_F(Outliers, SurfacesOfTheirOwnStay) {
