@@ -117,9 +117,9 @@ TEST_F(Outliers, UnknownPixelsAreLikeTheFramesBorder) {
 
 // What is read of a pixel does not depend on the rectangle that is read.
 TEST_F(Outliers, RectanglesGiveTheSameBits) {
-  for (int i = 0; i < 40; ++i) {
-    Set(kFrame.x_begin + i * 7 % 11, kFrame.y_begin + i * 5 % 11, static_cast<float>(i),
-        static_cast<float>(i * i % 17));
+  for (int i = 0; i < 8; ++i) {
+    const auto more = static_cast<float>(i);
+    Set(kFrame.x_begin + i * 7 % 11, kFrame.y_begin + i * 5 % 11, 5.0f + more, 4.0f + 3.0f * more);
   }
   const OutlierReader whole(planes_, kFrame, kFrame, kRatio);
   EXPECT_GT(whole.num_outliers(), 0u);
