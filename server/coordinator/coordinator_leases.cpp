@@ -212,7 +212,6 @@ void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
   job.samples_under_way += unit.range.size() * window.area();
   CountFilm(job);
   if (job.work_ms == 0) job.work_ms = now_.monotonic_ms;
-  if (job.leases_of_session.at(worker.session) == 1) worker.building_ms.erase(job.id);
   if (job.record.state() == v1::JOB_STATE_QUEUED) SetState(job, v1::JOB_STATE_RUNNING);
 
   if (worker.known_jobs.insert(job.id).second) {

@@ -143,7 +143,12 @@ struct Coordinator::Worker {
   // Jobs whose assets it could not fetch or whose scene it could not build -> not before this
   // monotonic moment.
   std::map<JobId, int64_t> retry_assets_ms;
-  std::map<JobId, int64_t> building_ms;  // whose scenes it builds -> since when, monotonic
+  // Whose scenes it builds: since when, and when it last said so; monotonic.
+  struct Building {
+    int64_t since_ms = 0;
+    int64_t said_ms = 0;
+  };
+  std::map<JobId, Building> building;
   // One of them has not come in time: until then it gets nothing that has to be built, so that it
   // sees that nobody waits for that scene, whatever jobs have it.
   int64_t no_builds_before_ms = 0;

@@ -13,6 +13,7 @@ namespace tessera {
 namespace {
 
 constexpr int64_t kAssetRetryMs = 5000;
+constexpr int64_t kBuildGapTtls = 4;  // without word of a build after which it counts as another
 
 absl::Status CheckHello(const v1::Hello& hello, const std::string& version) {
   if (hello.version() != version) {
@@ -151,13 +152,18 @@ void Coordinator::DropLeasesOf(Worker& worker, JobId id, LeaseId but) {
 // Whether the worker is still within the time that it may take to build the job's scene. How far it
 // has come is not measured: beyond that time it counts as stuck, and others try.
 bool Coordinator::BuildMayGoOn(Worker& worker, JobId id) {
-  const int64_t begin_ms = worker.building_ms.try_emplace(id, now_.monotonic_ms).first->second;
-  if (now_.monotonic_ms - begin_ms < config_.build_budget_ms) return true;
+  const int64_t now_ms = now_.monotonic_ms;
+  const Worker::Building now_building{now_ms, now_ms};
+  Worker::Building& building = worker.building.try_emplace(id, now_building).first->second;
+  // Leases that lapse in between, as the link is slow, do not begin it anew.
+  if (now_ms - building.said_ms > kBuildGapTtls * config_.lease_ttl_ms) building.since_ms = now_ms;
+  building.said_ms = now_ms;
+  if (now_ms - building.since_ms < config_.build_budget_ms) return true;
   jobs_.at(id)->last_decline = absl::StrCat(
       worker.hello.host(), " has not built the scene within ", config_.build_budget_ms / 1000,
       " s: look at that worker's log, or start the server with a larger --build-budget");
-  worker.building_ms.erase(id);
-  worker.no_builds_before_ms = now_.monotonic_ms + config_.build_budget_ms;
+  worker.building.erase(id);
+  worker.no_builds_before_ms = now_ms + config_.build_budget_ms;
   waiting_changed_ = true;
   return false;
 }
@@ -176,7 +182,15 @@ void Coordinator::On(HeartbeatEvent& event) {
   for (const v1::LeaseProgress& progress : event.leases) {
     RenewFilterLease(event.session, progress.id());
     const auto it = leases_.find(progress.id());
-    if (it == leases_.end() || it->second.session != event.session) continue;
+    if (it == leases_.end() || it->second.session != event.session) {
+      // Its revocation was lost: a hung build would be waited for, for ever.
+      if (progress.state() == v1::LeaseProgress::STATE_BUILDING) {
+        v1::CoordinatorMessage message;
+        message.mutable_revoke()->set_id(progress.id());
+        Send(event.session, std::move(message));
+      }
+      continue;
+    }
     const bool has_moved = NoteProgress(progress, &it->second);
     // Of before what is known, a later one has overtaken it: an old "waiting" would renew a render.
     if (progress.state() != it->second.state) continue;
@@ -189,8 +203,8 @@ void Coordinator::On(HeartbeatEvent& event) {
       if (is_stuck) continue;
     } else {
       worker->built.insert(job);
-      if (worker->building_ms.erase(job) > 0) {  // the next one has its time from here on
-        for (auto& [other, since_ms] : worker->building_ms) since_ms = now_.monotonic_ms;
+      if (worker->building.erase(job) > 0) {  // the next one has its time from here on
+        for (auto& [other, next] : worker->building) next.since_ms = now_.monotonic_ms;
       }
     }
     switch (progress.state()) {
@@ -210,7 +224,7 @@ void Coordinator::On(HeartbeatEvent& event) {
   // A worker builds one scene at a time: the others wait for the same.
   for (const JobId job : building) {
     if (!is_stuck) break;
-    worker->building_ms.erase(job);
+    worker->building.erase(job);
     DropLeasesOf(*worker, job, 0);
   }
   if (!any_moves) return;

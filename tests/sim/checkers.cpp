@@ -145,8 +145,11 @@ void Checkers::CheckLeases(const Coordinator& coordinator, Instant now) {
       Fail(absl::StrCat("lease ", lease.id, " is kept without progress since ",
                         now_seen.since_ms));
     }
+    // It may wait for the scenes of other jobs first.
+    const auto scenes = static_cast<int64_t>(plan_.jobs.size());
     if (lease.state == v1::LeaseProgress::STATE_BUILDING &&
-        now.monotonic_ms - now_seen.since_ms > plan_.build_budget_ms + plan_.lease_ttl_ms) {
+        now.monotonic_ms - now_seen.since_ms >
+            scenes * plan_.build_budget_ms + plan_.lease_ttl_ms) {
       Fail(absl::StrCat("lease ", lease.id, " waits for a scene that has been built since ",
                         now_seen.since_ms));
     }

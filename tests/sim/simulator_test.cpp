@@ -148,6 +148,10 @@ TEST(Regressions, Hold) {
   ExpectHolds(6251);
   // A suspect that is audited too went back for ever to a host that had rendered it (Hear).
   ExpectHolds(1149);
+  // Some job of a scene whose building hung always waited for it; its leases' revocation was lost.
+  ExpectHolds(659);
+  ExpectHolds(912);
+  ExpectHolds(1055);
   // Leases were raced only after twice what leases took, however long that was (MayRace).
   ExpectHolds(4779);
 }
