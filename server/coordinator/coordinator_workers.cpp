@@ -184,7 +184,8 @@ void Coordinator::On(HeartbeatEvent& event) {
     const auto it = leases_.find(progress.id());
     if (it == leases_.end() || it->second.session != event.session) {
       // Its revocation was lost: a hung build would be waited for, for ever.
-      if (progress.state() == v1::LeaseProgress::STATE_BUILDING) {
+      if (progress.state() == v1::LeaseProgress::STATE_BUILDING &&
+          now_.monotonic_ms < worker->no_builds_before_ms) {
         v1::CoordinatorMessage message;
         message.mutable_revoke()->set_id(progress.id());
         Send(event.session, std::move(message));
