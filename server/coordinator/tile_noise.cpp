@@ -7,6 +7,8 @@ namespace tessera {
 namespace {
 
 constexpr size_t kLanes = 64;
+// From so many on, every other vector of pixels says enough for an order of tiles.
+constexpr size_t kAllPixelsMax = 8 * kLanes;
 
 }  // namespace
 
@@ -26,8 +28,11 @@ double NoiseOf(const TileStatistics& tile) {
   const float difference_weight = first * second / count;
   // A vector of pixels after the other; sums of their own keep the additions apart.
   std::array<double, kLanes> sums = {};
-  for (size_t begin = 0; begin < num_pixels; begin += kLanes) {
+  const size_t step = num_pixels > kAllPixelsMax ? 2 * kLanes : kLanes;
+  size_t num_seen = 0;
+  for (size_t begin = 0; begin < num_pixels; begin += step) {
     const size_t num_lanes = std::min(kLanes, num_pixels - begin);
+    num_seen += num_lanes;
     std::array<float, kLanes> variance = {}, square;
     square.fill(0.01f);
     for (int channel = 0; channel < 3; ++channel) {
@@ -45,12 +50,12 @@ double NoiseOf(const TileStatistics& tile) {
       }
     }
     for (size_t i = 0; i < kLanes; ++i) {
-      sums[i] += static_cast<double>(variance[i] / (count - 1) / square[i]);
+      sums[i] += static_cast<double>(variance[i] / ((count - 1) * square[i]));
     }
   }
   double sum = 0;
   for (const double lane : sums) sum += lane;
-  return sum / static_cast<double>(num_pixels);
+  return sum / static_cast<double>(num_seen);
 }
 
 }  // namespace tessera

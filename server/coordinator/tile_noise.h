@@ -6,7 +6,8 @@
 namespace tessera {
 
 // The sample variance of radiance over its squared mean (+ 0.01, as in relMSE), averaged over the
-// tile's pixels: the relative squared error of one sample. 0 if each pixel has but one.
+// tile's pixels, or half of them where there are many: the relative squared error of one sample. 0
+// if each pixel has but one.
 double NoiseOf(const TileStatistics& tile);
 
 }  // namespace tessera

@@ -26,6 +26,15 @@ TEST(TileNoise, IsTheRelativeVarianceOfOneSample) {
   EXPECT_NEAR(NoiseOf(Tile(4, 2, 2, 1)), 3 * (4.0 / 3) / (3 * 4 + 0.01), 1e-6);
 }
 
+// Tiles of more than 512 pixels are judged by every other 64 of them.
+TEST(TileNoise, OfALargeTileIsThatOfHalfItsPixels) {
+  TileStatistics tile(PixelRect::FromSize(0, 0, 32, 32), {0, 4});
+  const std::span<float> msd = tile.Floats(0, kRadianceMsd);
+  for (size_t i = 0; i < msd.size(); ++i) msd[i] = i / 64 % 2 == 0 ? 1.0f : 100.0f;
+  // Squared deviations 2 of one channel, over 4 - 1.
+  EXPECT_NEAR(NoiseOf(tile), 2.0 / 3 / 0.01, 1e-3);
+}
+
 TEST(TileNoise, OfOneSampleOrNoneIsUnknown) {
   EXPECT_EQ(NoiseOf(Tile(1, 5, 0, 0)), 0);
   EXPECT_EQ(NoiseOf(Tile(8, 0, 0, 0)), 0);
