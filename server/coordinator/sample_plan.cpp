@@ -13,7 +13,6 @@ namespace {
 
 constexpr double kGrowthMin = 1.25, kGrowthMax = 2;  // of the rays, in one epoch
 constexpr int kBisections = 64;
-constexpr double kHalfWidth95 = 1.96;  // of an interval, in standard errors
 
 // Two counts between powers of two and the next: 8, 12, 16, 24, ... Few different ones make large
 // nodes.
@@ -82,31 +81,15 @@ double ShareOf(const CellError& cell) {
   return std::sqrt(std::max({0.0, cell.error, cell.noise}) * std::max(0.0, cell.noise));
 }
 
-struct Total {
-  double bound = 0;   // relMSE times 3 times the pixels: the upper end of its 95 % interval
-  double shares = 0;  // sum of ShareOf
-};
-
-Total TotalOf(std::span<const CellError> cells) {
-  Total total;
-  double error = 0, noise = 0;
-  for (const CellError& cell : cells) {
-    error += cell.error;
-    noise += cell.noise;
-    total.shares += ShareOf(cell);
-  }
-  const double scale = total.shares > 0 ? error / total.shares : 0;
-  double squares = 0;
-  for (const CellError& cell : cells) {
-    const double residual = cell.error - scale * ShareOf(cell);
-    squares += residual * residual;
-  }
-  total.bound = std::max(error, noise) + kHalfWidth95 * std::sqrt(squares);
-  return total;
+// Summed over the cells. What is noise for certain is the least that a cell counts.
+double SumOf(std::span<const CellError> cells) {
+  double sum = 0;
+  for (const CellError& cell : cells) sum += std::max(cell.error, cell.noise);
+  return sum;
 }
 
 // The errors that one sample of each cell's pixels would leave are such that those of what there is
-// add up to the bound.
+// add up to SumOf.
 std::vector<Cell> Weigh(const TileGrid& grid, std::span<const CellState> states) {
   const std::vector<double> area = AreasOf(grid);
   std::vector<CellError> errors;
@@ -114,8 +97,9 @@ std::vector<Cell> Weigh(const TileGrid& grid, std::span<const CellState> states)
     const bool is_known = std::isfinite(states[i].error.error);
     errors.push_back(is_known ? states[i].error : CellError{area[i], area[i]});
   }
-  const Total total = TotalOf(errors);
-  const double scale = total.shares > 0 ? total.bound / total.shares : 0;
+  double shares = 0;
+  for (const CellError& error : errors) shares += ShareOf(error);
+  const double scale = shares > 0 ? SumOf(errors) / shares : 0;
   std::vector<Cell> cells(states.size());
   for (size_t i = 0; i < states.size(); ++i) {
     Cell& cell = cells[i];
@@ -224,9 +208,9 @@ std::vector<int64_t> PlanForCells(const TileGrid& grid, std::span<const CellStat
 }  // namespace
 
 double ErrorBound(std::span<const CellError> cells, int64_t num_pixels) {
-  const double bound = TotalOf(cells).bound;
-  if (!std::isfinite(bound)) return std::numeric_limits<double>::infinity();
-  return std::sqrt(std::max(0.0, bound) / (3 * static_cast<double>(num_pixels)));
+  const double sum = SumOf(cells);
+  if (!std::isfinite(sum)) return std::numeric_limits<double>::infinity();
+  return std::sqrt(std::max(0.0, sum) / (3 * static_cast<double>(num_pixels)));
 }
 
 std::vector<double> CellErrors(const TileGrid& grid, std::span<const CellState> cells) {

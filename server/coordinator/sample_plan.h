@@ -32,11 +32,11 @@ struct CellState {
   CellError error{};
 };
 
-// The error of a picture of these cells, `num_pixels` in all, as sqrt(relMSE): the upper end of the
-// estimate's 95 % interval. Targets are held against that, for who stops at the first estimate that
-// is low enough stops at a lucky one. The estimate's standard error is that of a sum of cells'
-// errors of which each differs, at random, from what its share (the geometric mean of its error and
-// noise) predicts. +inf where unknown.
+// The error of a picture of these cells, `num_pixels` in all, as sqrt(relMSE), for targets to be
+// held against. Each cell counts what the filter estimates, but never less than what is noise for
+// certain: cells whose estimates are too low by luck get no more samples and keep them, those whose
+// are too high get more and lose them, so that the plain sum of a job that samples by need is too
+// low, the more so the more cells it chooses from. +inf where unknown.
 double ErrorBound(std::span<const CellError> cells, int64_t num_pixels);
 
 // What a job's error shall come down to; 0 = nothing is left to do for it, or it never was asked.

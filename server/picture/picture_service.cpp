@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <functional>
 #include <numeric>
 #include <utility>
@@ -425,6 +426,7 @@ void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture
     if (is_refined && DecidesByPicture(round.view.settings)) {
       event.cell_errors = picture->CellErrors();
       event.error_bound = ErrorBound(event.cell_errors, picture->region().area());
+      if (std::isfinite(event.error_bound)) event.estimated_error = event.error_bound;
     }
     source_.on_picture(event);
   }

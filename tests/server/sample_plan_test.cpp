@@ -4,6 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <random>
 
 #include "gtest/gtest.h"
 
@@ -115,19 +116,58 @@ TEST(SamplePlan, WhatIsUnknownGetsSamplesToo) {
   EXPECT_GT(plan[10], plan[79]);
 }
 
-// Cells whose errors are as their noise predicts leave no doubt; those that scatter do.
-TEST(ErrorBound, AddsTheEstimatesOwnNoise) {
+// What is noise for certain is the least that a cell counts, whatever the estimates say.
+TEST(ErrorBound, CountsNoCellLessThanItsNoise) {
   std::vector<CellError> cells(100, {.error = 3, .noise = 2});
   EXPECT_NEAR(ErrorBound(cells, 100), 1, 1e-9);
-  for (size_t i = 0; i < cells.size(); ++i) cells[i].error += i % 2 == 0 ? 2 : -2;
-  const double bound = ErrorBound(cells, 100);
-  EXPECT_GT(bound, std::sqrt(1 + 0.5 * 1.96 * 2 * 10 / 300));
-  EXPECT_LT(bound, std::sqrt(1 + 1.96 * 2 * 10 / 300));
-  // What is noise for certain is the least, whatever the estimates say.
+  for (size_t i = 0; i < cells.size(); ++i) cells[i].error += i % 2 == 0 ? 4 : -4;
+  EXPECT_NEAR(ErrorBound(cells, 100), std::sqrt((7 + 2) / 2.0 / 3), 1e-9);
   for (CellError& cell : cells) cell.error = -1;
-  EXPECT_GE(ErrorBound(cells, 100), std::sqrt(2.0 / 3));
+  EXPECT_NEAR(ErrorBound(cells, 100), std::sqrt(2.0 / 3), 1e-9);
   cells[7].error = std::numeric_limits<double>::infinity();
   EXPECT_TRUE(std::isinf(ErrorBound(cells, 100)));
+}
+
+// Estimates of cells that are right on average, each with a scatter twice its error. Cells get
+// samples until the estimate meets the target; the true error must be what was promised, however
+// many cells there are for luck to choose from.
+TEST(ErrorBound, IsNotTheLuckThatPlansChoose) {
+  for (const int side : {8, 64}) {
+    const TileGrid grid(PixelRect::FromSize(0, 0, kCellSizePx * side, kCellSizePx * side),
+                        kCellSizePx);
+    std::vector<int64_t> samples(static_cast<size_t>(grid.num_tiles()), kPilotSpp);
+    std::mt19937 generator(7);
+    std::normal_distribution<double> normal;
+    std::vector<CellState> cells(samples.size());
+    // Of a pilot's sample: the error, the part of it that is noise, and the estimate's scatter.
+    constexpr double kError = 4, kNoise = 2, kScatter = 8;
+    std::vector<double> variance(samples.size());
+    for (double& v : variance) v = std::exp(normal(generator));
+    const double area = kCellSizePx * kCellSizePx;
+    const double target = std::sqrt(0.25 * kError * std::exp(0.5) / 3);
+    double truth = 0;
+    for (bool is_met = false; !is_met;) {
+      std::vector<CellError> errors(samples.size());
+      truth = 0;
+      for (size_t i = 0; i < samples.size(); ++i) {
+        const double per = area * variance[i] * kPilotSpp / static_cast<double>(samples[i]);
+        truth += kError * per;
+        if (cells[i].samples != samples[i]) {
+          cells[i] = {.samples = samples[i],
+                      .rays = samples[i],
+                      .error = {.error = per * (kError + kScatter * normal(generator)),
+                                .noise = kNoise * per}};
+        }
+        errors[i] = cells[i].error;
+      }
+      const double pixels = area * static_cast<double>(samples.size());
+      truth = std::sqrt(truth / (3 * pixels));
+      is_met = ErrorBound(errors, grid.region().area()) <= target;
+      if (!is_met) samples = PlanSamples(grid, cells, {.image = target}, 1 << 20);
+    }
+    EXPECT_GT(truth, 0.75 * target) << side;
+    EXPECT_LT(truth, 1.02 * target) << side;
+  }
 }
 
 // A cell's own error is nearly all noise of the estimate: what the halves say weighs as much.
