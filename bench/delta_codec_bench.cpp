@@ -45,9 +45,9 @@ TileStatistics SyntheticTile(SampleRange range, int64_t feature_end, bool smooth
   PixelFolder folder;
   for (int y = 0; y < kTilePx; ++y) {
     for (int x = 0; x < kTilePx; ++x) {
-      folder.Begin(range, feature_end);
+      folder.Begin(x, y, range, feature_end);
       for (int64_t i = 0; i < range.size(); ++i) folder.Add(DrawSample(x, y, smooth, random));
-      folder.Store(x, y, &tile);
+      folder.Store(&tile);
     }
   }
   return tile;
@@ -116,9 +116,9 @@ void AddSamples(benchmark::State& state) {
   TileStatistics tile(PixelRect::FromSize(0, 0, 1, 1), {0, num_samples}, feature_end);
   PixelFolder folder;
   for (auto _ : state) {
-    folder.Begin(tile.range(), feature_end);
+    folder.Begin(0, 0, tile.range(), feature_end);
     for (const PixelSample& sample : samples) folder.Add(sample);
-    folder.Store(0, 0, &tile);
+    folder.Store(&tile);
   }
   SetNanosecondsPer("sample", num_samples, state);
 }

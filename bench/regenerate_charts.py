@@ -4,8 +4,8 @@
     bench/regenerate_charts.py --build build/release [--scenes FOLDER]
         [--oidn PROGRAM --oidn-weights FOLDER] [--only statistics,...] [--out FOLDER] [--quick]
 
-Parts: scale (docs/charts.md), statistics and filters (docs/stability.md), scenes (docs/charts.md
-and the README's chart). Under half an hour on two idle cores. What is finished is kept in
+Parts: scale (docs/charts.md), statistics and filters (docs/stability.md), bytes
+(docs/model-by-need.md), scenes (docs/charts.md and the README's chart). Under half an hour on two idle cores. What is finished is kept in
 BUILD/charts: after Ctrl-C (exit code 4), or anything else that ends it, the same command goes on.
 docs/ is written to when everything is made, and not before. --scenes is the folder of scenes that
 are not the project's own (apartment.glb, ...); without it they are left out. Cycles is measured
@@ -25,14 +25,14 @@ sys.dont_write_bytecode = True  # the source folder stays clean
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT / "bench"), str(ROOT / "chart"), str(ROOT / "scenes")]
 
-from charts import filters, scale, scenes, statistics
+from charts import filters, job_bytes, scale, scenes, statistics
 from charts.runs import Run
 from tessera_chart import command
 from tessera_chart.errors import BadInput
 
 # Scale has a clock to watch, so nothing runs beside it.
 PARTS = {"scale": scale.make, "statistics": statistics.make, "filters": filters.make,
-         "scenes": scenes.make}
+         "bytes": job_bytes.make, "scenes": scenes.make}
 
 
 def parse_arguments() -> argparse.Namespace:

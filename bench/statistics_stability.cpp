@@ -16,12 +16,13 @@
 
 #include "core/base/check.h"
 #include "core/film/fold.h"
+#include "core/film/node_rounding.h"
 #include "core/film/pixel_folder.h"
 
 namespace tessera {
 namespace {
 
-struct Moments {
+struct Estimate {
   double mean = 0;
   double variance = 0;  // of the samples, m2 / (n - 1)
 };
@@ -30,9 +31,11 @@ struct Moments {
 class Accumulator {
  public:
   virtual ~Accumulator() = default;
+  // The index of the first sample, where it matters; 0 otherwise.
+  virtual void Begin(int64_t /*first*/) {}
   virtual void Add(float x) = 0;
   virtual bool Merge(const Accumulator& right) = 0;
-  virtual Moments Result() const = 0;
+  virtual Estimate Result() const = 0;
 };
 
 template <typename Real>
@@ -50,7 +53,7 @@ class Sums final : public Accumulator {
     squares_ += other.squares_;
     return true;
   }
-  Moments Result() const override {
+  Estimate Result() const override {
     const Real n = static_cast<Real>(count_);
     return {static_cast<double>(sum_ / n),
             static_cast<double>((squares_ - sum_ * sum_ / n) / static_cast<Real>(count_ - 1))};
@@ -73,7 +76,7 @@ class Talk final : public Accumulator {
     variance_ += (d * d - variance_) / n;
   }
   bool Merge(const Accumulator& /*right*/) override { return false; }
-  Moments Result() const override { return {mean_, variance_}; }
+  Estimate Result() const override { return {mean_, variance_}; }
 
  private:
   int64_t count_ = 0;
@@ -98,7 +101,7 @@ class Welford final : public Accumulator {
     count_ += other.count_;
     return true;
   }
-  Moments Result() const override {
+  Estimate Result() const override {
     return {static_cast<double>(mean_), static_cast<double>(m2_ / static_cast<Real>(count_ - 1))};
   }
 
@@ -107,65 +110,82 @@ class Welford final : public Accumulator {
   Real mean_ = 0, m2_ = 0;
 };
 
-// One pixel and channel of the film: samples alternate between two halves, each a binary tree over
-// sample indices; Merge takes the samples that follow, and replays the tree over whole nodes.
+// One pixel and channel of the film: a binary tree over sample indices, whose nodes hold two
+// halves; Merge takes the samples that follow, and replays the tree over whole nodes.
 class FilmFold final : public Accumulator {
  public:
+  void Begin(int64_t first) override { begin_ = end_ = first; }
   void Add(float x) override {
     PixelSample sample;
     sample.radiance[0] = x;
     ReplaceNonFinite(&sample);
-    Half& half = halves_[count_ & 1];
-    half.Append({1, RoundMean(sample.radiance[0]), 0});
-    ++count_;
+    Node node;
+    node.range = {end_, end_ + 1};
+    node.half[end_ & 1].mean = sample.radiance[0];
+    Append(node);
   }
   bool Merge(const Accumulator& right) override {
     const auto& other = static_cast<const FilmFold&>(right);
-    for (int h = 0; h < 2; ++h) {
-      for (const Node& node : other.halves_[h].nodes) halves_[h].Append(node);
-    }
-    count_ += other.count_;
+    TESSERA_CHECK(other.begin_ == end_);
+    for (const Node& node : other.nodes_) Append(node);
     return true;
   }
-  Moments Result() const override {
-    const Node a = halves_[0].Fold(), b = halves_[1].Fold();
-    Node all;
-    all.count = a.count + b.count;
-    FoldMoments(a.mean, a.msd, b.mean, b.msd, RightWeight(a.count, b.count), &all.mean, &all.msd);
-    return {all.mean, static_cast<double>(all.msd) * all.count / (all.count - 1.0)};
+  Estimate Result() const override {
+    Node all = nodes_.front();
+    for (size_t i = 1; i < nodes_.size(); ++i) all = Join(all, nodes_[i]);
+    const int64_t count_a = all.range.HalfCount(0), count_b = all.range.HalfCount(1);
+    HalfMoments joint;
+    FoldMoments(all.half[0].mean, all.half[0].msd, all.half[1].mean, all.half[1].msd,
+                RightWeight(static_cast<int32_t>(count_a), static_cast<int32_t>(count_b)),
+                &joint.mean, &joint.msd);
+    const double count = static_cast<double>(count_a + count_b);
+    return {joint.mean, static_cast<double>(joint.msd) * count / (count - 1.0)};
   }
 
  private:
-  struct Node {
-    int32_t count = 0;
+  struct HalfMoments {
     float mean = 0, msd = 0;
   };
-  struct Half {
-    std::vector<Node> nodes;  // what waits for a sibling, largest first
-
-    static Node Join(const Node& left, const Node& right) {
-      Node joint;
-      joint.count = left.count + right.count;
-      FoldMoments(left.mean, left.msd, right.mean, right.msd, RightWeight(left.count, right.count),
-                  &joint.mean, &joint.msd);
-      joint.mean = RoundMean(joint.mean);
-      joint.msd = RoundMsd(joint.msd);
-      return joint;
-    }
-    void Append(Node node) {
-      while (!nodes.empty() && nodes.back().count == node.count) {
-        node = Join(nodes.back(), node);
-        nodes.pop_back();
-      }
-      nodes.push_back(node);
-    }
-    Node Fold() const {
-      return std::accumulate(nodes.begin(), nodes.end(), Node{}, &Half::Join);
-    }
+  struct Node {
+    SampleRange range;
+    HalfMoments half[kNumHalves];
   };
 
-  int64_t count_ = 0;
-  std::array<Half, 2> halves_;
+  static Node Join(const Node& left, const Node& right) {
+    Node joint;
+    joint.range = {left.range.begin, right.range.end};
+    for (int h = 0; h < kNumHalves; ++h) {
+      FoldMoments(left.half[h].mean, left.half[h].msd, right.half[h].mean, right.half[h].msd,
+                  RightWeight(static_cast<int32_t>(left.range.HalfCount(h)),
+                              static_cast<int32_t>(right.range.HalfCount(h))),
+                  &joint.half[h].mean, &joint.half[h].msd);
+      joint.half[h].msd = RoundMsd(joint.half[h].msd);
+    }
+    const NodeRounding rounding = RoundingOf(joint.range, false);
+    if (rounding.kind == NodeRounding::Kind::kNone) return joint;
+    Moments8 halves[kNumHalves] = {};
+    for (int h = 0; h < kNumHalves; ++h) {
+      halves[h].mean[0] = joint.half[h].mean;
+      halves[h].msd[0] = joint.half[h].msd;
+    }
+    RoundHalves(rounding, UInt8{} + PixelHash(0, 0), &halves[0], &halves[1]);
+    for (int h = 0; h < kNumHalves; ++h) {
+      joint.half[h] = {halves[h].mean[0], halves[h].msd[0]};
+    }
+    return joint;
+  }
+  void Append(Node node) {
+    end_ = node.range.end;
+    while (!nodes_.empty() && nodes_.back().range.size() == node.range.size() &&
+           nodes_.back().range.begin % (2 * node.range.size()) == 0) {
+      node = Join(nodes_.back(), node);
+      nodes_.pop_back();
+    }
+    nodes_.push_back(node);
+  }
+
+  int64_t begin_ = 0, end_ = 0;
+  std::vector<Node> nodes_;  // what waits for a sibling, largest first
 };
 
 struct Method {
@@ -194,7 +214,7 @@ class Reference {
     sum_ += d;
     squares_ += d * d;
   }
-  Moments Result() const {
+  Estimate Result() const {
     const long double n = static_cast<long double>(count_);
     const long double variance = count_ > 1 ? (squares_ - sum_ * sum_ / n) / (n - 1) : 0;
     return {static_cast<double>(shift_ + sum_ / n), static_cast<double>(std::max(variance, 0.0L))};
@@ -228,7 +248,7 @@ struct Errors {
   double variance = 0;
 };
 
-Errors ErrorsOf(const Moments& found, const Moments& truth) {
+Errors ErrorsOf(const Estimate& found, const Estimate& truth) {
   const double scale = std::abs(truth.mean) + std::sqrt(truth.variance);
   const double unit = truth.variance > 0 ? truth.variance : truth.mean * truth.mean;
   Errors errors = {std::abs(found.mean - truth.mean) / (scale > 0 ? scale : 1),
@@ -268,9 +288,9 @@ void Measure(const std::string& experiment, const std::vector<std::string>& xs,
         reference.Add(sample.radiance[0]);
         for (const auto& accumulator : accumulators) accumulator->Add(x);
       }
-      const Moments truth = reference.Result();
+      const Estimate truth = reference.Result();
       for (size_t m = 0; m < num_methods; ++m) {
-        const Moments found = accumulators[m]->Result();
+        const Estimate found = accumulators[m]->Result();
         const Errors errors = ErrorsOf(found, truth);
         Errors& cell = worst[at * num_methods + m];
         cell = {std::max(cell.mean, errors.mean), std::max(cell.variance, errors.variance)};
@@ -389,19 +409,22 @@ void MeasureArrival(int64_t count, double mean) {
   std::vector<std::vector<std::unique_ptr<Accumulator>>> parts(Methods().size());
   Reference reference(mean);
   for (int64_t d = 0; d < num_deliveries; ++d) {
-    for (size_t m = 0; m < Methods().size(); ++m) parts[m].push_back(Methods()[m].make());
+    for (size_t m = 0; m < Methods().size(); ++m) {
+      parts[m].push_back(Methods()[m].make());
+      parts[m].back()->Begin(d * kDelivery);
+    }
     for (int64_t i = 0; i < kDelivery; ++i) {
       const float x = next(i);
       reference.Add(x);
       for (auto& of_method : parts) of_method.back()->Add(x);
     }
   }
-  const Moments truth = reference.Result();
+  const Estimate truth = reference.Result();
   const std::string name = mean > 1 ? " (mean/sd 1000)" : " (mean/sd 1)";
   for (size_t m = 0; m < Methods().size(); ++m) {
     const bool is_film = Methods()[m].name == "film";
     Errors worst, spread;
-    Moments least = {1e300, 1e300}, greatest = {-1e300, -1e300};
+    Estimate least = {1e300, 1e300}, greatest = {-1e300, -1e300};
     bool merges = true;
     for (int order = 0; order < kNumOrders && merges; ++order) {
       std::vector<size_t> arrival(static_cast<size_t>(num_deliveries));
@@ -415,7 +438,7 @@ void MeasureArrival(int64_t count, double mean) {
       const std::unique_ptr<Accumulator> all = Methods()[m].make();
       for (const size_t d : arrival) merges = merges && all->Merge(*parts[m][d]);
       if (!merges) break;
-      const Moments found = all->Result();
+      const Estimate found = all->Result();
       const Errors errors = ErrorsOf(found, truth);
       worst = {std::max(worst.mean, errors.mean), std::max(worst.variance, errors.variance)};
       least = {std::min(least.mean, found.mean), std::min(least.variance, found.variance)};
@@ -453,7 +476,7 @@ void MeasureUnbalanced(int64_t count) {
       }
     }
   }
-  const Moments truth = reference.Result();
+  const Estimate truth = reference.Result();
   for (size_t m = 0; m < accumulators.size(); ++m) {
     const bool merges = Methods()[m].name != "talk float";
     const double infinity = std::numeric_limits<double>::infinity();
@@ -466,7 +489,7 @@ void MeasureUnbalanced(int64_t count) {
 void CheckAgainstPixelFolder() {
   constexpr int64_t kCount = 4096;
   PixelFolder folder;
-  folder.Begin({0, kCount});
+  folder.Begin(0, 0, {0, kCount});
   FilmFold fold;
   const Stream next = NoiseAround(3, 1, 5);
   for (int64_t i = 0; i < kCount; ++i) {
@@ -476,11 +499,11 @@ void CheckAgainstPixelFolder() {
     fold.Add(sample.radiance[0]);
   }
   TileStatistics tile({0, 0, 1, 1}, {0, kCount});
-  folder.Store(0, 0, &tile);
+  folder.Store(&tile);
   float mean = 0, msd = 0;
   FoldMoments(tile.Floats(0, kRadianceMean)[0], tile.Floats(0, kRadianceMsd)[0],
               tile.Floats(1, kRadianceMean)[0], tile.Floats(1, kRadianceMsd)[0], 0.5f, &mean, &msd);
-  const Moments found = fold.Result();
+  const Estimate found = fold.Result();
   TESSERA_CHECK(found.mean == static_cast<double>(mean));
   TESSERA_CHECK(found.variance == static_cast<double>(msd) * kCount / (kCount - 1.0));
 }

@@ -13,7 +13,11 @@ from charts import pages
 from tessera_chart import drawing, programs
 from tessera_chart.store import Store
 
-MEAN_LIMIT, VARIANCE_LIMIT = 1e-6, 1e-3  # what the film promises
+MEAN_LIMIT, VARIANCE_LIMIT = 1e-6, 1e-3  # what the film promises from MANY samples on
+MANY = 1e6
+# Below, shares of the statistical errors: of the mean's standard error (of streams of mean/sd 1,
+# whose errors are relative to twice the sd), and of the variance's relative one.
+MEAN_SHARE, VARIANCE_SHARE = 1 / 8, 1 / 2
 # Cells outside of what the film promises, and why.
 NOT_PROMISED = {"denormals": "below 1e-19 a variance is no float"}
 RATIO_MAX = 1e3  # greatest mean/sd for which the variance is promised
@@ -50,13 +54,21 @@ def _of(rows: list[dict], experiment: str) -> dict[str, list[dict]]:
     return found
 
 
+def limits_at(count: float) -> tuple[float, float]:
+    """What the film promises of mean and variance after so many samples of mean/sd 1."""
+    if count >= MANY:
+        return MEAN_LIMIT, VARIANCE_LIMIT
+    return (MEAN_LIMIT + MEAN_SHARE / math.sqrt(count) / 2,
+            VARIANCE_LIMIT + VARIANCE_SHARE * math.sqrt(2 / count))
+
+
 def draw_curves(rows: list[dict], path: pathlib.Path) -> None:
     figure, grid = pyplot.subplots(2, 2, figsize=(10, 6.4), sharex="col", sharey="row")
     for column, (experiment, text) in enumerate((("samples", "samples (mean/sd 1)"),
                                                  ("mean/sd", "mean / sd (2^20 samples)"))):
-        for line, (error, limit, label) in enumerate((
-                ("mean_error", MEAN_LIMIT, "error of the mean / (|mean| + sd)"),
-                ("variance_error", VARIANCE_LIMIT, "error of the variance / variance"))):
+        for line, (error, label) in enumerate((
+                ("mean_error", "error of the mean / (|mean| + sd)"),
+                ("variance_error", "error of the variance / variance"))):
             axes = grid[line][column]
             for method, found in _of(rows, experiment).items():
                 color, marker = STYLES[method]
@@ -65,8 +77,11 @@ def draw_curves(rows: list[dict], path: pathlib.Path) -> None:
                 axes.plot([float(r["x"]) for r in shown],
                           [max(r[error], LEAST_SHOWN) for r in shown], color=color, marker=marker,
                           markersize=4, linewidth=1.2, label=method)
-            axes.axhline(limit, color="black", linewidth=0.8, linestyle="--",
-                         label="what the film promises")
+            xs = [float(r["x"]) for r in _of(rows, experiment)["film"]]
+            counts = sorted({*xs, MANY * 0.999, MANY}) if experiment == "samples" else xs
+            axes.plot(counts, [limits_at(n if experiment == "samples" else MANY)[line]
+                               for n in counts],
+                      color="black", linewidth=0.8, linestyle="--", label="what the film promises")
             drawing.log_axes(axes)
             if line == 1:
                 axes.set_xlabel(text)
@@ -125,6 +140,11 @@ def is_promised(name: str) -> bool:
     return name not in NOT_PROMISED and (ratio == name or float(ratio) <= RATIO_MAX)
 
 
+def _breaks_its_limits(row: dict) -> bool:
+    mean_limit, variance_limit = limits_at(float(row["x"]))
+    return row["mean_error"] > mean_limit or row["variance_error"] > variance_limit
+
+
 def failing_cells_of_film(rows: list[dict]) -> list[str]:
     """Where the film breaks what it promises."""
     names, _, chosen = cases(rows)
@@ -132,7 +152,7 @@ def failing_cells_of_film(rows: list[dict]) -> list[str]:
     everything = [r for r in rows if r["method"] == "film" and r["experiment"] != "spread"]
     failing += [f"{r['x']}: negative" for r in everything if r["negative"] == "1"]
     failing += [f"{r['experiment']} {r['x']}" for r in everything
-                if r["experiment"] == "samples" and cell_of(r)[0] > 1]
+                if r["experiment"] == "samples" and _breaks_its_limits(r)]
     return failing
 
 

@@ -14,46 +14,21 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
 #include "core/film/code_blocks.h"
-#include "core/film/fold.h"
+#include "core/film/node_rounding.h"
 #include "core/film/plane_coding.h"
+#include "core/film/quantity_planes.h"
 
 namespace tessera {
 namespace {
 
 static_assert(std::endian::native == std::endian::little);
 
-constexpr uint8_t kFormatVersion = 2;
+constexpr uint8_t kFormatVersion = 3;
 constexpr size_t kChecksumBytes = sizeof(uint64_t);
 constexpr int kCompressionLevel = 1;
-// Planes of one half: the float planes, then the count planes.
-constexpr int kFirstCountPlane = kNumFloatPlanes;
-constexpr int kNumPlanes = kFirstCountPlane + kNumCountPlanes;
 constexpr int kVarintBytesMax = 10;
 constexpr float kMeanMax = 2 * 0x1p60f;  // twice what samples allow: room for rounding
 constexpr float kMsdMax = kMeanMax * kMeanMax;
-
-// Planes of one quantity share their streams. Colours' channels rise and fall together, so each
-// channel guides the next.
-struct Quantity {
-  int first_plane;
-  int num_channels;
-  bool has_guides;
-};
-constexpr Quantity kQuantities[] = {
-    {kRadianceMean, 3, true},
-    {kRadianceMsd, 3, true},
-    {kAlbedoMean, 3, true},
-    {kAlbedoMsd, 3, true},
-    {kNormalMean, 3, false},
-    {kNormalMsd, 3, false},
-    {kDepthMean, 1, false},
-    {kDepthMsd, 1, false},
-    {kFirstCountPlane + kLaterHits, 1, false},
-    {kFirstCountPlane + kHits, 1, false},
-    {kFirstCountPlane + kMaterialId, 1, false},
-    {kFirstCountPlane + kIdVotes, 1, false},
-};
-constexpr int kNumChannelsMax = 3;
 
 using PlaneCodings = std::array<std::array<PlaneCoding, kNumPlanes>, kNumHalves>;
 
@@ -64,47 +39,6 @@ bool Has(const TileStatistics& tile, int plane) {
 }
 
 bool IsMsdPlane(int plane) { return plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3); }
-
-// The planes of one quantity in both halves, as words and as codes.
-struct QuantityPlanes {
-  void Resize(size_t num_pixels) {
-    for (int half = 0; half < kNumHalves; ++half) {
-      for (int channel = 0; channel < kNumChannelsMax; ++channel) {
-        words[half][channel].resize(num_pixels);
-        codes[half][channel].resize(num_pixels);
-      }
-    }
-  }
-
-  // What is known of a plane when channels are visited in order, half A of each first.
-  PlaneContext ContextOf(const Quantity& quantity, int half, int channel, int row_px) const {
-    PlaneContext context;
-    context.is_float = quantity.first_plane < kFirstCountPlane;
-    context.row_px = row_px;
-    if (half > 0) context.other_half = words[0][channel];
-    if (quantity.has_guides && channel > 0) {
-      context.guide = words[half][channel - 1];
-      if (half > 0) context.other_guide = words[0][channel - 1];
-    }
-    return context;
-  }
-
-  std::vector<uint32_t> words[kNumHalves][kNumChannelsMax];
-  std::vector<uint32_t> codes[kNumHalves][kNumChannelsMax];
-};
-
-void CopyWords(const TileStatistics& tile, int half, int plane, std::vector<uint32_t>* words) {
-  const void* from = plane < kFirstCountPlane
-                         ? static_cast<const void*>(tile.Floats(half, plane).data())
-                         : tile.Counts(half, plane - kFirstCountPlane).data();
-  std::memcpy(words->data(), from, words->size() * sizeof(uint32_t));
-}
-
-void StoreWords(const std::vector<uint32_t>& words, int half, int plane, TileStatistics* tile) {
-  void* to = plane < kFirstCountPlane ? static_cast<void*>(tile->Floats(half, plane).data())
-                                      : tile->Counts(half, plane - kFirstCountPlane).data();
-  std::memcpy(to, words.data(), words.size() * sizeof(uint32_t));
-}
 
 void AppendVarint(uint64_t value, std::string* bytes) {
   for (; value >= 0x80; value >>= 7) bytes->push_back(static_cast<char>(value | 0x80));
@@ -228,7 +162,9 @@ bool ReadCodings(const TileStatistics& tile, ByteReader* reader, PlaneCodings* c
       coding.width_bytes = predictor_and_width & 7;
       coding.predictor = static_cast<PlanePredictor>(predictor_and_width >> 3);
       coding.base = static_cast<uint32_t>(base);
-      if (coding.width_bytes > 4 || coding.shift > 31 || base > UINT32_MAX) return false;
+      const bool is_shift = IsGrid(coding.predictor) ? coding.shift >= kFinestExponentMin
+                                                     : coding.shift <= 31;
+      if (coding.width_bytes > 4 || !is_shift || base > UINT32_MAX) return false;
     }
   }
   return true;
@@ -312,8 +248,6 @@ std::span<const PlanePredictor> PredictorsOf(DeltaEncoding encoding) {
 
 // Comparisons of bits, which a vector unit makes for all lanes: greater numbers have greater bits,
 // and infinity and NaN the greatest.
-constexpr uint32_t kSignBit = uint32_t{1} << 31;
-
 uint32_t GreatestOf(std::span<const uint32_t> counts) {
   uint32_t greatest = 0;
   for (const uint32_t count : counts) greatest = std::max(greatest, count);
@@ -322,7 +256,7 @@ uint32_t GreatestOf(std::span<const uint32_t> counts) {
 bool AreWithin(float magnitude_max, std::span<const float> values) {
   uint32_t greatest = 0;
   for (const float value : values) {
-    greatest = std::max(greatest, std::bit_cast<uint32_t>(value) & ~kSignBit);
+    greatest = std::max(greatest, std::bit_cast<uint32_t>(value) & ~kFloatSignBit);
   }
   return greatest <= std::bit_cast<uint32_t>(magnitude_max);
 }
@@ -341,10 +275,19 @@ bool HasDepthWithoutHits(const TileStatistics& tile, int half) {
   uint32_t any = 0;
   for (int64_t i = 0; i < tile.num_pixels(); ++i) {
     const uint32_t depth =
-        (std::bit_cast<uint32_t>(mean[i]) | std::bit_cast<uint32_t>(msd[i])) & ~kSignBit;
+        (std::bit_cast<uint32_t>(mean[i]) | std::bit_cast<uint32_t>(msd[i])) & ~kFloatSignBit;
     any |= hits[i] == 0 ? depth : 0;
   }
   return any != 0;
+}
+
+// A sample has no deviation.
+void ClearMsds(const Quantity& quantity, TileStatistics* tile) {
+  for (int half = 0; half < kNumHalves; ++half) {
+    for (int channel = 0; channel < quantity.num_channels; ++channel) {
+      std::ranges::fill(tile->Floats(half, quantity.first_plane + channel), 0.0f);
+    }
+  }
 }
 
 // Restores the planes of one quantity from their codes into `tile`.
@@ -353,14 +296,18 @@ absl::Status RestoreQuantity(const Quantity& quantity, const PlaneCodings& codin
   for (int channel = 0; channel < quantity.num_channels; ++channel) {
     const int plane = quantity.first_plane + channel;
     for (int half = 0; half < kNumHalves; ++half) {
-      const PlaneContext context =
-          planes->ContextOf(quantity, half, channel, tile->window().width());
+      const PlaneContext context = planes->ContextOf(quantity, half, channel, *tile);
       const PlaneCoding& coding = codings[half][plane];
       if (!context.Allows(coding.predictor)) return Malformed("a predictor has nothing to read");
       RestorePlane(context, coding, planes->codes[half][channel], planes->words[half][channel]);
-      StoreWords(planes->words[half][channel], half, plane, tile);
     }
   }
+  if (HasPairUnits(quantity, *tile)) {
+    ClearMsds(quantity, tile);
+  } else {
+    planes->Store(quantity, tile);
+  }
+  if (quantity.is_msd) planes->KeepUnits(quantity, *tile);
   return absl::OkStatus();
 }
 
@@ -376,7 +323,7 @@ absl::Status ValidateStatistics(const TileStatistics& tile) {
     for (int plane = 0; plane < tile.num_float_planes(); ++plane) {
       const uint32_t count =
           plane < kNumRadiancePlanes ? feature_count + later_count : feature_count;
-      const bool ok = IsMsdPlane(plane) ? AreBetweenZeroAnd(count == 0 ? 0 : kMsdMax,
+      const bool ok = IsMsdPlane(plane) ? AreBetweenZeroAnd(count <= 1 ? 0 : kMsdMax,
                                                             tile.Floats(half, plane))
                                         : AreWithin(count == 0 ? 0 : kMeanMax,
                                                     tile.Floats(half, plane));
@@ -405,14 +352,14 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
   size_t packed_bytes = kChecksumBytes;
   for (const Quantity& quantity : kQuantities) {
     if (!Has(tile, quantity.first_plane)) continue;
+    planes.Load(quantity, tile);
+    if (HasPairUnits(quantity, tile)) planes.LoadPairUnits(quantity, tile);
     for (int channel = 0; channel < quantity.num_channels; ++channel) {
       const int plane = quantity.first_plane + channel;
       for (int half = 0; half < kNumHalves; ++half) {
-        CopyWords(tile, half, plane, &planes.words[half][channel]);
         std::vector<uint32_t>& codes = planes.codes[half][channel];
-        codings[half][plane] =
-            CodePlane(planes.ContextOf(quantity, half, channel, tile.window().width()),
-                      planes.words[half][channel], predictors, codes);
+        codings[half][plane] = CodePlane(planes.ContextOf(quantity, half, channel, tile),
+                                         planes.words[half][channel], predictors, codes);
         const uint8_t width_bytes = codings[half][plane].width_bytes;
         packed_bytes += width_bytes * area;
         if (encoding == DeltaEncoding::kPackedBlocks && width_bytes > 0) AppendBlocks(codes, &body);
@@ -421,6 +368,7 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
     if (encoding != DeltaEncoding::kPackedBlocks) {
       AppendStreams(quantity, encoding, codings, planes, &body);
     }
+    if (quantity.is_msd) planes.KeepUnits(quantity, tile);
   }
 
   std::string payload(1, static_cast<char>(kFormatVersion));

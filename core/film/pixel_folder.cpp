@@ -6,20 +6,20 @@
 #include "core/base/check.h"
 #include "core/denoise/float8.h"
 #include "core/film/fold.h"
+#include "core/film/node_rounding.h"
 
 namespace tessera {
 namespace {
 
-// Lanes of a node: both halves' radiance, then both halves' features (albedo, normal, depth), each
-// padded to whole SIMD registers.
-constexpr int kNumFeatures = 7;
+// Lanes of a node: both halves' radiance in the two halves of a SIMD register, then a register of
+// features (albedo, normal, depth) for each half.
 constexpr int kDepthFeature = 6;
-constexpr int kFeatureLane = 8;
-constexpr int kNumLanes = 24;
+constexpr int kFeatureLane = kFloat8Lanes;
+constexpr int kNumLanes = 3 * kFloat8Lanes;
 constexpr int kNumLevels = 32;
 
-constexpr int RadianceLane(int half) { return 3 * half; }
-constexpr int FeatureLane(int half) { return kFeatureLane + kNumFeatures * half; }
+constexpr int RadianceLane(int half) { return kFloat8Lanes / 2 * half; }
+constexpr int FeatureLane(int half) { return kFeatureLane + kFloat8Lanes * half; }
 
 // Both halves of one pixel over one node.
 struct alignas(32) PixelNode {
@@ -31,19 +31,22 @@ struct alignas(32) PixelNode {
   bool blank;  // all features are zero, the id too
 };
 
+// -0 becomes 0, which is the only zero that joins give.
+float PlusZero(float x) { return x + 0.0f; }
+
 void SetRadiance(const PixelSample& sample, int half, PixelNode* node) {
   float* mean = node->mean + RadianceLane(half);
-  for (int c = 0; c < 3; ++c) mean[c] = RoundMean(sample.radiance[c]);
+  for (int c = 0; c < 3; ++c) mean[c] = PlusZero(sample.radiance[c]);
 }
 
 void SetFeatures(const PixelSample& sample, int half, PixelNode* node) {
   float* mean = node->mean + FeatureLane(half);
   for (int c = 0; c < 3; ++c) {
-    mean[c] = RoundMean(sample.albedo[c]);
-    mean[3 + c] = RoundMean(sample.normal[c]);
+    mean[c] = PlusZero(sample.albedo[c]);
+    mean[3 + c] = PlusZero(sample.normal[c]);
   }
   const bool hit = sample.depth > 0;
-  mean[kDepthFeature] = hit ? RoundMean(sample.depth) : 0;
+  mean[kDepthFeature] = hit ? sample.depth : 0;
   node->hits[half] = hit ? 1 : 0;
   node->vote[half] = {sample.material_id, 1};
 }
@@ -75,6 +78,35 @@ void FoldLanes(const PixelNode& left, const PixelNode& right, int lane, Float8 r
       (left_weight * right_weight) * (difference * difference);
   Store8(out->mean + lane, left_mean + difference * right_weight);
   Store8(out->msd + lane, RoundMsd(msd));
+}
+
+Moments8 LoadLanes(const PixelNode& node, int lane) {
+  return {Load8(node.mean + lane), Load8(node.msd + lane)};
+}
+void StoreLanes(const Moments8& moments, int lane, PixelNode* node) {
+  Store8(node->mean + lane, moments.mean);
+  Store8(node->msd + lane, moments.msd);
+}
+
+// The lanes of the other half's radiance.
+Float8 SwapHalves(Float8 radiance) {
+  return __builtin_shufflevector(radiance, radiance, 4, 5, 6, 7, 0, 1, 2, 3);
+}
+
+// Round a node that is rounded: few are.
+[[gnu::noinline]] void RoundRadiance(SampleRange range, uint32_t pixel_hash, PixelNode* node) {
+  const NodeRounding rounding = RoundingOf(range, false);
+  Moments8 moments = LoadLanes(*node, 0);
+  Moments8 other = {SwapHalves(moments.mean), SwapHalves(moments.msd)};
+  RoundHalves(rounding, UInt8{} + pixel_hash, &moments, &other);
+  StoreLanes(moments, 0, node);
+}
+
+[[gnu::noinline]] void RoundFeatures(SampleRange range, uint32_t pixel_hash, PixelNode* node) {
+  const NodeRounding rounding = RoundingOf(range, true);
+  Moments8 halves[] = {LoadLanes(*node, FeatureLane(0)), LoadLanes(*node, FeatureLane(1))};
+  RoundHalves(rounding, UInt8{} + pixel_hash, &halves[0], &halves[1]);
+  for (int half = 0; half < kNumHalves; ++half) StoreLanes(halves[half], FeatureLane(half), node);
 }
 
 // Joins the radiance of two nodes of at least two samples each: equal counts.
@@ -113,8 +145,7 @@ void FoldFeatures(const PixelNode& left, const PixelNode& right, PixelNode* out)
 
 void CopyFeatures(const PixelNode& from, PixelNode* to) {
   for (int lane = kFeatureLane; lane < kNumLanes; lane += kFloat8Lanes) {
-    Store8(to->mean + lane, Load8(from.mean + lane));
-    Store8(to->msd + lane, Load8(from.msd + lane));
+    StoreLanes(LoadLanes(from, lane), lane, to);
   }
   for (int half = 0; half < kNumHalves; ++half) {
     to->hits[half] = from.hits[half];
@@ -126,6 +157,8 @@ void CopyFeatures(const PixelNode& from, PixelNode* to) {
 }  // namespace
 
 struct PixelFolder::State {
+  int x = 0, y = 0;
+  uint32_t hash = 0;  // of the pixel
   SampleRange range;
   int64_t feature_end = kAllFeatures;
   int64_t num_added = 0;
@@ -140,8 +173,11 @@ struct PixelFolder::State {
 PixelFolder::PixelFolder() : state_(std::make_unique<State>()) {}
 PixelFolder::~PixelFolder() = default;
 
-void PixelFolder::Begin(SampleRange range, int64_t feature_end) {
+void PixelFolder::Begin(int x, int y, SampleRange range, int64_t feature_end) {
   TESSERA_CHECK(range.IsNode() && range.end <= kSamplesMax && IsFeatureEnd(feature_end));
+  state_->x = x;
+  state_->y = y;
+  state_->hash = PixelHash(x, y);
   state_->range = range;
   state_->feature_end = feature_end;
   state_->num_added = 0;
@@ -165,6 +201,11 @@ void PixelFolder::Add(const PixelSample& sample) {
 
   // The two samples fill the two halves of one node; join it with the siblings that wait for it.
   if (has_features) pair->blank = IsBlank(*pair);
+  const SampleRange pair_range{index - 1, index + 1};
+  if (IsRounded(pair_range)) {
+    RoundRadiance(pair_range, s.hash, pair);
+    if (has_features) RoundFeatures(pair_range, s.hash, pair);
+  }
   const PixelNode* newest = pair;
   const int num_siblings = std::countr_one(num_pairs);
   int64_t newest_begin = index - 1;
@@ -172,8 +213,11 @@ void PixelFolder::Add(const PixelSample& sample) {
     PixelNode* joined = level + 1 == num_siblings ? &s.nodes[num_siblings] : &s.joined;
     FoldRadiance(s.nodes[level], *newest, joined);
     const int64_t left_begin = newest_begin - (int64_t{2} << level);
+    const bool is_rounded = IsRounded({left_begin, index + 1});
+    if (is_rounded) RoundRadiance({left_begin, index + 1}, s.hash, joined);
     if (newest_begin < s.feature_end) {
       FoldFeatures(s.nodes[level], *newest, joined);
+      if (is_rounded) RoundFeatures({left_begin, index + 1}, s.hash, joined);
     } else if (left_begin < s.feature_end) {
       // Later samples leave the features of what lies left of them as they are.
       CopyFeatures(s.nodes[level], joined);
@@ -183,14 +227,14 @@ void PixelFolder::Add(const PixelSample& sample) {
   }
 }
 
-void PixelFolder::Store(int x, int y, TileStatistics* tile) const {
+void PixelFolder::Store(TileStatistics* tile) const {
   const State& s = *state_;
   TESSERA_CHECK(tile->range() == s.range && s.num_added == s.range.size());
   TESSERA_CHECK(tile->feature_end() == s.feature_end);
-  TESSERA_CHECK(tile->window().Contains(x, y));
+  TESSERA_CHECK(tile->window().Contains(s.x, s.y));
   const PixelNode& node =
       s.nodes[std::max(0, std::countr_zero(static_cast<uint64_t>(s.num_added)) - 1)];
-  const size_t pixel = static_cast<size_t>(tile->window().IndexOf(x, y));
+  const size_t pixel = static_cast<size_t>(tile->window().IndexOf(s.x, s.y));
   for (int half = 0; half < kNumHalves; ++half) {
     const auto store = [&](int lane, int mean_plane, int msd_plane) {
       tile->Floats(half, mean_plane)[pixel] = node.mean[lane];

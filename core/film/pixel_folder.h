@@ -16,14 +16,14 @@ class PixelFolder {
   PixelFolder();
   ~PixelFolder();
 
-  // Begins a node; `range.IsNode()`. Samples from `feature_end` on carry no features
-  // (TileStatistics).
-  void Begin(SampleRange range, int64_t feature_end = kAllFeatures);
+  // Begins a node of the frame's pixel (x, y); `range.IsNode()`. Samples from `feature_end` on
+  // carry no features (TileStatistics).
+  void Begin(int x, int y, SampleRange range, int64_t feature_end = kAllFeatures);
   // The next sample, in ascending order; range.size() calls in all. The sample must be finite
   // (ReplaceNonFinite). Of one without features, radiance and whether depth is positive are read.
   void Add(const PixelSample& sample);
-  // Writes the folded node to the pixel (x, y) of `tile`, whose range and feature end it has.
-  void Store(int x, int y, TileStatistics* tile) const;
+  // Writes the folded node to its pixel in `tile`, whose range and feature end it has.
+  void Store(TileStatistics* tile) const;
 
  private:
   struct State;

@@ -17,21 +17,38 @@ enum class PlanePredictor : uint8_t {
   kOtherHalfRatio = 4,  // half A, scaled as the guide differs between the halves
   kAbove = 5,           // the pixel above; in the first row the first pixel
   kAboveRatio = 6,      // above, scaled as the guide changes from there to here
+  // The same in the units that the fold rounded the mean to.
+  kAboveGrid = 7,
+  kOtherHalfGrid = 8,
+  kAboveRatioGrid = 9,
+  kOtherHalfRatioGrid = 10,
 };
+inline constexpr bool IsGrid(PlanePredictor predictor) {
+  return predictor >= PlanePredictor::kAboveGrid;
+}
 
-// What CodePlane may choose from, kNone first. Left neighbours are restored one after the other,
-// rows above for all pixels of a row at once.
+// What CodePlane may choose from, kNone first, those on the grid last. Left neighbours are restored
+// one after the other, rows above for all pixels of a row at once.
 inline constexpr PlanePredictor kNoPredictors[] = {PlanePredictor::kNone};
 inline constexpr PlanePredictor kLeftPredictors[] = {
     PlanePredictor::kNone, PlanePredictor::kLeft, PlanePredictor::kOtherHalf,
-    PlanePredictor::kLeftRatio, PlanePredictor::kOtherHalfRatio};
+    PlanePredictor::kLeftRatio, PlanePredictor::kOtherHalfRatio, PlanePredictor::kAboveGrid,
+    PlanePredictor::kOtherHalfGrid, PlanePredictor::kAboveRatioGrid,
+    PlanePredictor::kOtherHalfRatioGrid};
 inline constexpr PlanePredictor kAbovePredictors[] = {
     PlanePredictor::kNone, PlanePredictor::kAbove, PlanePredictor::kOtherHalf,
-    PlanePredictor::kAboveRatio, PlanePredictor::kOtherHalfRatio};
+    PlanePredictor::kAboveRatio, PlanePredictor::kOtherHalfRatio, PlanePredictor::kAboveGrid,
+    PlanePredictor::kOtherHalfGrid, PlanePredictor::kAboveRatioGrid,
+    PlanePredictor::kOtherHalfRatioGrid};
+
+inline constexpr uint8_t kFinestExponentMin = 1;
 
 // How a plane was coded; enough to restore it.
 struct PlaneCoding {
-  uint8_t shift = 0;        // trailing bits that are zero in every key, [0, 31]
+  // Bits at the keys' end that are zero in nearly all of them, [0, 31]. On the grid: the biased
+  // exponent of the finest unit; where a pixel's is finer, its key is coded. kFinestExponentMin or
+  // more.
+  uint8_t shift = 0;
   uint8_t width_bytes = 0;  // of a code, [0, 4]; 0 = all codes are zero (kNone: all keys `base`)
   PlanePredictor predictor = PlanePredictor::kNone;
   uint32_t base = 0;
@@ -47,6 +64,9 @@ struct PlaneContext {
   std::span<const uint32_t> other_half;   // half A of this plane
   std::span<const uint32_t> guide;        // floats: the channel before this one
   std::span<const uint32_t> other_guide;  // its half A
+  // Means: biased exponents of what they are multiples of, [0, 254]; 0 for none.
+  std::span<const uint32_t> units;
+  uint8_t key_shift = 0;  // bits at the keys' end that are zero in nearly all pixels
 
   // Whether the planes that `predictor` reads are there.
   bool Allows(PlanePredictor predictor) const;

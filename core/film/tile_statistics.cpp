@@ -1,9 +1,12 @@
 #include "core/film/tile_statistics.h"
 
 #include <algorithm>
+#include <cstring>
 
 #include "core/base/check.h"
+#include "core/denoise/float8.h"
 #include "core/film/fold.h"
+#include "core/film/node_rounding.h"
 
 namespace tessera {
 namespace {
@@ -51,6 +54,71 @@ void FoldDepth(int64_t num_pixels, const float* right_mean, const float* right_m
     msd[i] = RoundMsd(joint_msd);
     hits[i] += right_hits[i];
   }
+}
+
+// Up to eight values; the rest are 0.
+Float8 LoadUpTo8(const float* from, int64_t count) {
+  if (count >= kFloat8Lanes) return Load8(from);
+  Float8 values = {};
+  std::memcpy(&values, from, static_cast<size_t>(count) * sizeof(float));
+  return values;
+}
+void StoreUpTo8(float* to, int64_t count, Float8 values) {
+  std::memcpy(to, &values,
+              static_cast<size_t>(std::min<int64_t>(count, kFloat8Lanes)) * sizeof(float));
+}
+
+std::vector<uint32_t> HashesOf(const PixelRect& window) {
+  std::vector<uint32_t> hashes;
+  hashes.reserve(static_cast<size_t>(window.area()));
+  for (int y = window.y_begin; y < window.y_end; ++y) {
+    for (int x = window.x_begin; x < window.x_end; ++x) hashes.push_back(PixelHash(x, y));
+  }
+  return hashes;
+}
+
+// Rounds a mean plane and its msd plane in both halves.
+void RoundPlanes(const NodeRounding& rounding, std::span<const uint32_t> pixel_hashes,
+                 int mean_plane, int msd_plane, TileStatistics* tile) {
+  float* const means[] = {tile->Floats(0, mean_plane).data(), tile->Floats(1, mean_plane).data()};
+  float* const msds[] = {tile->Floats(0, msd_plane).data(), tile->Floats(1, msd_plane).data()};
+  for (int64_t i = 0; i < tile->num_pixels(); i += kFloat8Lanes) {
+    const int64_t count = tile->num_pixels() - i;
+    Moments8 halves[kNumHalves];
+    for (int half = 0; half < kNumHalves; ++half) {
+      halves[half] = {LoadUpTo8(means[half] + i, count), LoadUpTo8(msds[half] + i, count)};
+    }
+    UInt8 pixel_hash = {};
+    for (int64_t lane = 0; lane < std::min<int64_t>(count, kFloat8Lanes); ++lane) {
+      pixel_hash[lane] = pixel_hashes[static_cast<size_t>(i + lane)];
+    }
+    RoundHalves(rounding, pixel_hash, &halves[0], &halves[1]);
+    for (int half = 0; half < kNumHalves; ++half) {
+      StoreUpTo8(means[half] + i, count, halves[half].mean);
+      StoreUpTo8(msds[half] + i, count, halves[half].msd);
+    }
+  }
+}
+
+// Round what was joined.
+void RoundRadiance(TileStatistics* tile) {
+  const NodeRounding rounding = RoundingOf(tile->range(), false);
+  if (rounding.kind == NodeRounding::Kind::kNone) return;
+  const std::vector<uint32_t> pixel_hashes = HashesOf(tile->window());
+  for (int c = 0; c < 3; ++c) {
+    RoundPlanes(rounding, pixel_hashes, kRadianceMean + c, kRadianceMsd + c, tile);
+  }
+}
+
+void RoundFeatures(TileStatistics* tile) {
+  const NodeRounding rounding = RoundingOf(tile->feature_range(), true);
+  if (rounding.kind == NodeRounding::Kind::kNone) return;
+  const std::vector<uint32_t> pixel_hashes = HashesOf(tile->window());
+  for (int c = 0; c < 3; ++c) {
+    RoundPlanes(rounding, pixel_hashes, kAlbedoMean + c, kAlbedoMsd + c, tile);
+    RoundPlanes(rounding, pixel_hashes, kNormalMean + c, kNormalMsd + c, tile);
+  }
+  RoundPlanes(rounding, pixel_hashes, kDepthMean, kDepthMsd, tile);
 }
 
 }  // namespace
@@ -134,8 +202,13 @@ void TileStatistics::Merge(const TileStatistics& right) {
     // Where `right` has no features, the left ones are the joint ones.
     if (right.has_features()) MergeFeatures(right, half);
   }
+  // What nothing joins stays as it is.
+  const bool is_join = !range_.empty() && !right.range_.empty();
+  const bool features_join = is_join && right.has_features();
   range_.end = right.range_.end;
   non_finite += right.non_finite;
+  if (is_join) RoundRadiance(this);
+  if (features_join) RoundFeatures(this);
 }
 
 }  // namespace tessera

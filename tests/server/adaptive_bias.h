@@ -51,7 +51,7 @@ inline TileStatistics SkewedTile(NoiseAt noise_at, uint64_t seed, const PixelRec
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
       const PixelNoise noise = noise_at(x, y);
-      folder.Begin(range, feature_end);
+      folder.Begin(x, y, range, feature_end);
       for (int64_t i = range.begin; i < range.end; ++i) {
         const auto value = static_cast<float>(SkewedSample(noise, seed, x, y, i));
         PixelSample sample;
@@ -60,7 +60,7 @@ inline TileStatistics SkewedTile(NoiseAt noise_at, uint64_t seed, const PixelRec
         sample.material_id = 1;
         folder.Add(sample);
       }
-      folder.Store(x, y, &tile);
+      folder.Store(&tile);
     }
   }
   return tile;

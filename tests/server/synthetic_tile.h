@@ -24,7 +24,7 @@ inline TileStatistics SyntheticTile(uint64_t seed, const PixelRect& window, Samp
   PixelFolder folder;
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
-      folder.Begin(range, feature_end);
+      folder.Begin(x, y, range, feature_end);
       for (int64_t i = range.begin; i < range.end; ++i) {
         uint64_t bits = MixBits(MixBits(seed * 65537 + static_cast<uint64_t>(y)) * 65537 +
                                 static_cast<uint64_t>(x) * 1048583 + static_cast<uint64_t>(i));
@@ -39,7 +39,7 @@ inline TileStatistics SyntheticTile(uint64_t seed, const PixelRect& window, Samp
         sample.material_id = 1 + static_cast<uint32_t>((bits >> 4) & 1);
         folder.Add(sample);
       }
-      folder.Store(x, y, &tile);
+      folder.Store(&tile);
     }
   }
   return tile;

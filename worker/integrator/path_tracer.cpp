@@ -111,11 +111,11 @@ class TileFolder {
       : tile_(*tile), x_(tile->window().x_begin), y_(tile->window().y_begin) {}
 
   void Add(PixelSample* sample) {
-    if (num_added_ == 0) folder_.Begin(tile_.range(), tile_.feature_end());
+    if (num_added_ == 0) folder_.Begin(x_, y_, tile_.range(), tile_.feature_end());
     if (ReplaceNonFinite(sample)) ++tile_.non_finite;
     folder_.Add(*sample);
     if (++num_added_ < tile_.range().size()) return;
-    folder_.Store(x_, y_, &tile_);
+    folder_.Store(&tile_);
     num_added_ = 0;
     if (++x_ < tile_.window().x_end) return;
     x_ = tile_.window().x_begin;

@@ -30,15 +30,15 @@ TEST(PixelFolderTest, AFolderForgetsItsLastPixel) {
                 {{0, 8}, 8}};
   for (const auto& [range, feature_end] : kNodes) {
     TileStatistics from_used(kPixel, range, feature_end), from_fresh(kPixel, range, feature_end);
-    used.Begin(range, feature_end);
+    used.Begin(0, 0, range, feature_end);
     PixelFolder once;
-    once.Begin(range, feature_end);
+    once.Begin(0, 0, range, feature_end);
     for (int64_t i = range.begin; i < range.end; ++i) {
       used.Add(SampleOf(1, 0, 0, i));
       once.Add(SampleOf(1, 0, 0, i));
     }
-    used.Store(0, 0, &from_used);
-    once.Store(0, 0, &from_fresh);
+    used.Store(&from_used);
+    once.Store(&from_fresh);
     EXPECT_EQ(from_used, from_fresh) << range.begin;
   }
 }
@@ -59,16 +59,16 @@ TEST(PixelFolderTest, SkyFoldsLikeAnythingElse) {
         return sample;
       };
       TileStatistics whole(kPixel, {0, 64}, feature_end);
-      folder.Begin(whole.range(), feature_end);
+      folder.Begin(0, 0, whole.range(), feature_end);
       for (int64_t i = 0; i < 64; ++i) folder.Add(sample_of(i));
-      folder.Store(0, 0, &whole);
+      folder.Store(&whole);
       std::vector<TileStatistics> parts;
       for (int64_t i = 0; i < 64; ++i) {
         TileStatistics part(kPixel, {i, i + 1}, feature_end);
         PixelFolder one;
-        one.Begin(part.range(), feature_end);
+        one.Begin(0, 0, part.range(), feature_end);
         one.Add(sample_of(i));
-        one.Store(0, 0, &part);
+        one.Store(&part);
         parts.push_back(std::move(part));
         for (int64_t n = i + 1; n % 2 == 0; n /= 2) {
           TileStatistics right = std::move(parts.back());
@@ -85,13 +85,13 @@ TEST(PixelFolderTest, SkyFoldsLikeAnythingElse) {
 TEST(PixelFolderTest, HalvesTakeEvenAndOddSamples) {
   PixelFolder folder;
   TileStatistics tile(kPixel, {4, 8});
-  folder.Begin(tile.range());
+  folder.Begin(0, 0, tile.range());
   for (int64_t i = 4; i < 8; ++i) {
     PixelSample sample;
     sample.radiance[0] = static_cast<float>(i);
     folder.Add(sample);
   }
-  folder.Store(0, 0, &tile);
+  folder.Store(&tile);
   EXPECT_EQ(tile.Floats(0, kRadianceMean)[0], 5);
   EXPECT_EQ(tile.Floats(1, kRadianceMean)[0], 6);
   EXPECT_EQ(tile.Floats(0, kRadianceMsd)[0], 1);
@@ -100,7 +100,7 @@ TEST(PixelFolderTest, HalvesTakeEvenAndOddSamples) {
 TEST(PixelFolderTest, DepthAveragesOverHitsAndMissesVoteForNone) {
   PixelFolder folder;
   TileStatistics tile(kPixel, {0, 8});
-  folder.Begin(tile.range());
+  folder.Begin(0, 0, tile.range());
   for (int i = 0; i < 8; ++i) {
     PixelSample sample;
     if (i == 2) {
@@ -110,7 +110,7 @@ TEST(PixelFolderTest, DepthAveragesOverHitsAndMissesVoteForNone) {
     }
     folder.Add(sample);
   }
-  folder.Store(0, 0, &tile);
+  folder.Store(&tile);
   EXPECT_EQ(tile.Counts(0, kHits)[0], 1u);
   EXPECT_EQ(tile.Counts(1, kHits)[0], 0u);
   EXPECT_EQ(tile.Floats(0, kDepthMean)[0], 10);
@@ -123,11 +123,11 @@ TEST(PixelFolderTest, DepthAveragesOverHitsAndMissesVoteForNone) {
 
 TEST(PixelFolderDeathTest, RefusesWhatIsNoNodeAndWhatIsNotComplete) {
   PixelFolder folder;
-  EXPECT_DEATH(folder.Begin({1, 3}), "broken invariant");
+  EXPECT_DEATH(folder.Begin(0, 0, {1, 3}), "broken invariant");
   TileStatistics tile(kPixel, {0, 4});
-  folder.Begin(tile.range());
+  folder.Begin(0, 0, tile.range());
   folder.Add(PixelSample{});
-  EXPECT_DEATH(folder.Store(0, 0, &tile), "broken invariant");
+  EXPECT_DEATH(folder.Store(&tile), "broken invariant");
 }
 
 }  // namespace

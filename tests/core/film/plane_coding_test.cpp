@@ -58,6 +58,14 @@ TEST(PlaneCodingTest, AnyWordsRoundTrip) {
       context.other_half = other_half;
       context.other_guide = other_guide;
       expect_all();
+      context.key_shift = static_cast<uint8_t>(random() % 32);
+      expect_all();
+      if (!is_float) continue;
+      // Any units, of rounded means or not.
+      std::vector<uint32_t> units(words.size());
+      for (uint32_t& unit : units) unit = random() % 255;
+      context.units = units;
+      expect_all();
     }
   }
 }
@@ -134,7 +142,11 @@ TEST(PlaneCodingTest, PredictorsNeedTheirPlanes) {
   EXPECT_FALSE(context.Allows(PlanePredictor::kOtherHalfRatio));
   context.other_guide = plane;
   EXPECT_TRUE(context.Allows(PlanePredictor::kOtherHalfRatio));
-  EXPECT_FALSE(context.Allows(static_cast<PlanePredictor>(7)));
+  EXPECT_FALSE(context.Allows(PlanePredictor::kAboveGrid));
+  context.units = plane;
+  EXPECT_TRUE(context.Allows(PlanePredictor::kAboveGrid));
+  EXPECT_TRUE(context.Allows(PlanePredictor::kOtherHalfRatioGrid));
+  EXPECT_FALSE(context.Allows(static_cast<PlanePredictor>(11)));
 }
 
 }  // namespace

@@ -50,9 +50,9 @@ inline TileStatistics FoldedTile(uint64_t seed, const PixelRect& window, SampleR
   PixelFolder folder;
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x) {
-      folder.Begin(range, feature_end);
+      folder.Begin(x, y, range, feature_end);
       for (int64_t i = range.begin; i < range.end; ++i) folder.Add(SampleOf(seed, x, y, i));
-      folder.Store(x, y, &tile);
+      folder.Store(&tile);
     }
   }
   return tile;

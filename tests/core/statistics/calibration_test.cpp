@@ -91,7 +91,7 @@ FramePlanes Render(const Scene& scene, uint64_t seed, int64_t count) {
   PixelFolder folder;
   for (int y = 0; y < kFrame.y_end; ++y) {
     for (int x = 0; x < kFrame.x_end; ++x) {
-      folder.Begin(tile.range());
+      folder.Begin(x, y, tile.range());
       for (int64_t i = 0; i < count; ++i) {
         PixelSample sample;
         const uint64_t pixel = static_cast<uint64_t>(kFrame.IndexOf(x, y));
@@ -102,7 +102,7 @@ FramePlanes Render(const Scene& scene, uint64_t seed, int64_t count) {
         }
         folder.Add(sample);
       }
-      folder.Store(x, y, &tile);
+      folder.Store(&tile);
     }
   }
   FramePlanes planes(kFrame);
