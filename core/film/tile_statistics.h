@@ -92,8 +92,8 @@ class TileStatistics {
 
   // Folds `right` into this. Needs equal windows and feature ends, and right.range().begin ==
   // range().end.
-  // The result depends on the two operands alone: IEEE + - x / and one fixed rounding of the msd
-  // planes (see fold.h), the same bits on every machine.
+  // The result depends on the two operands and the window's place alone: IEEE + - x / and fixed
+  // roundings (see fold.h, node_rounding.h), the same bits on every machine.
   void Merge(const TileStatistics& right);
 
   // Samples replaced by zero, over both halves.
