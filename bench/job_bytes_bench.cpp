@@ -1,8 +1,8 @@
 // What the deltas of a whole job weigh, quantity by quantity, beside those of a job that sends all
-// planes always: one row a pass, as a coordinator asks for them, then the sums. Bytes a pixel, as
-// workers send them (packed blocks).
+// planes always, at the film's full precision: one row a pass, as a coordinator asks for them, then
+// the sums. Bytes a pixel, as workers send them (packed blocks).
 //   job_bytes_bench SCENE... [--look-from X,Y,Z --look-at X,Y,Z --fov-y DEG]
-//     [--env FILE | --sky R,G,B] [--size WxH] [--spp N] [--feature-spp F] [--baseline BYTES]
+//     [--env FILE | --sky R,G,B] [--size WxH] [--spp N] [--feature-spp F]
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <array>
@@ -32,7 +32,6 @@ struct Options {
   int width = 0, height = 0;
   int64_t spp = 256;         // a power of two
   int64_t feature_spp = 64;  // a power of two
-  std::vector<double> baselines;
 };
 
 // The planes of a quantity, one after the other, in the order of their columns.
@@ -100,6 +99,39 @@ TileStatistics WithoutFeatures(const TileStatistics& node, int64_t feature_end) 
   return later;
 }
 
+// The planes of a node under a range of as many samples.
+TileStatistics WithRange(const TileStatistics& node, SampleRange range) {
+  TileStatistics other(node.window(), range, node.feature_end());
+  Copy(node, 0, node.num_float_planes(), &other);
+  for (int half = 0; half < kNumHalves; ++half) {
+    for (int plane = 0; plane < node.num_count_planes(); ++plane) {
+      std::ranges::copy(node.Counts(half, plane), other.Counts(half, plane).begin());
+    }
+  }
+  return other;
+}
+
+// A range of as many samples whose node is not rounded (core/film/node_rounding.h).
+SampleRange UnroundedRange(int64_t size) {
+  const int64_t begin = size == 2 ? 4 : 0;
+  return {begin, begin + size};
+}
+
+// What a tile's samples are before any bits are rounded away: folded from single samples.
+absl::StatusOr<TileStatistics> RenderUnrounded(PathTracer& tracer, const PixelRect& window,
+                                               SampleRange range, RenderCounters* counters) {
+  if (range.size() == 1) return tracer.Render(window, range, nullptr, counters);
+  const int64_t half = range.size() / 2;
+  auto left = RenderUnrounded(tracer, window, {range.begin, range.begin + half}, counters);
+  if (!left.ok()) return left;
+  const auto right = RenderUnrounded(tracer, window, {range.begin + half, range.end}, counters);
+  if (!right.ok()) return right;
+  const SampleRange joint = UnroundedRange(range.size());
+  TileStatistics all = WithRange(*left, {joint.begin, joint.begin + half});
+  all.Merge(WithRange(*right, {joint.begin + half, joint.end}));
+  return all;
+}
+
 void Add(const Bytes& bytes, Bytes* sum) {
   for (size_t i = 0; i < bytes.size(); ++i) (*sum)[i] += bytes[i];
 }
@@ -115,8 +147,7 @@ void Print(const std::string& scene, const std::string& samples, const Bytes& by
 }
 
 // The ratio of the job's bytes to the baseline's.
-absl::StatusOr<double> Measure(const Options& options, size_t index) {
-  const std::string& path = options.scenes[index];
+absl::StatusOr<double> Measure(const Options& options, const std::string& path) {
   auto scene = LoadView(path, options.view, static_cast<double>(options.width) / options.height);
   if (!scene.ok()) return scene.status();
   RenderSettings settings;
@@ -138,7 +169,10 @@ absl::StatusOr<double> Measure(const Options& options, size_t index) {
     for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
       auto rendered = (*tracer)->Render(grid.WindowOf(tile), node, nullptr, &counters);
       if (!rendered.ok()) return rendered.status();
-      all_planes += SizeOf(*rendered);
+      const auto unrounded =
+          RenderUnrounded(**tracer, grid.WindowOf(tile), node, &counters);
+      if (!unrounded.ok()) return unrounded.status();
+      all_planes += SizeOf(*unrounded);
       Add(BytesOf(node.begin < options.feature_spp
                       ? *rendered
                       : WithoutFeatures(*rendered, options.feature_spp)),
@@ -151,9 +185,7 @@ absl::StatusOr<double> Measure(const Options& options, size_t index) {
   }
   Print(name, "all", sum, all_planes_sum, num_pixels);
   const double job = static_cast<double>(sum.back()) / num_pixels;
-  const double baseline = index < options.baselines.size()
-                              ? options.baselines[index]
-                              : static_cast<double>(all_planes_sum) / num_pixels;
+  const double baseline = static_cast<double>(all_planes_sum) / num_pixels;
   std::printf("%s: %.1f bytes a pixel, %.3f of %.1f\n", name.c_str(), job, job / baseline,
               baseline);
   return job / baseline;
@@ -170,9 +202,6 @@ int main(int argc, char** argv) {
   app.add_option("--size", options.size);
   app.add_option("--spp", options.spp);
   app.add_option("--feature-spp", options.feature_spp);
-  app.add_option("--baseline", options.baselines,
-                 "bytes a pixel to compare with, scene by scene: another version's last column")
-      ->delimiter(',');
   CLI11_PARSE(app, argc, argv);
   if (std::sscanf(options.size.c_str(), "%dx%d", &options.width, &options.height) != 2 ||
       options.width < 1 || options.height < 1 || options.spp < 2 || options.feature_spp < 2) {
@@ -185,8 +214,8 @@ int main(int argc, char** argv) {
   }
   std::printf(" hits and ids | all | all planes always |\n");
   double log_sum = 0;
-  for (size_t i = 0; i < options.scenes.size(); ++i) {
-    const absl::StatusOr<double> ratio = tessera::Measure(options, i);
+  for (const std::string& path : options.scenes) {
+    const absl::StatusOr<double> ratio = tessera::Measure(options, path);
     if (!ratio.ok()) {
       std::fprintf(stderr, "%s\n", ratio.status().ToString().c_str());
       return 2;
