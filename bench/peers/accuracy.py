@@ -11,16 +11,19 @@ TRIMMED_SHARE = 0.001
 
 def read_rgb(path: pathlib.Path) -> numpy.ndarray:
     """Height x width x 3 linear radiance, double. Errors: RuntimeError."""
-    picture = oiio.ImageBuf(str(path))
-    if picture.has_error:
-        raise RuntimeError(f"{path}: {picture.geterror()}")
+    # Not by ImageBuf, whose cache takes a file of the same name and second for the one before.
+    picture = oiio.ImageInput.open(str(path))
+    if picture is None:
+        raise RuntimeError(f"{path}: {oiio.geterror()}")
     names = list(picture.spec().channelnames)
 
     def channel(letter: str) -> int:
         return next(i for i, n in enumerate(names) if n == letter or n.endswith("Combined." + letter))
 
-    pixels = picture.get_pixels(oiio.FLOAT).astype(numpy.float64)
-    return pixels[:, :, [channel(c) for c in "RGB"]]
+    pixels = picture.read_image(oiio.FLOAT)
+    if pixels is None:
+        raise RuntimeError(f"{path}: {picture.geterror()}")
+    return pixels.astype(numpy.float64)[:, :, [channel(c) for c in "RGB"]]
 
 
 def relative_errors(x: numpy.ndarray, r1: numpy.ndarray, r2: numpy.ndarray) -> numpy.ndarray:

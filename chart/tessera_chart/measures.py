@@ -21,15 +21,18 @@ PIXELS_PER_DEGREE = 0.7 * 3840 / 0.7 * numpy.pi / 180  # the paper's screen: 67.
 
 def read_rgb(path: pathlib.Path) -> numpy.ndarray:
     """Height x width x 3 linear radiance, double. Errors: BadInput naming the file."""
-    picture = oiio.ImageBuf(str(path))
-    if picture.has_error or not picture.spec().channelnames:
-        raise BadInput(f"{path}: cannot be read: {picture.geterror()}")
+    # Not by ImageBuf, whose cache takes a file of the same name and second for the one before.
+    picture = oiio.ImageInput.open(str(path))
+    pixels = None if picture is None else picture.read_image(oiio.FLOAT)
+    if pixels is None:
+        why = oiio.geterror() if picture is None else picture.geterror()
+        raise BadInput(f"{path}: cannot be read: {why}")
     names = list(picture.spec().channelnames)
     found = [next((i for i, n in enumerate(names) if n == c or n.endswith("Combined." + c)), None)
              for c in "RGB"]
     if None in found:
         raise BadInput(f"{path}: has no channels R, G, B")
-    return picture.get_pixels(oiio.FLOAT).astype(numpy.float64)[:, :, found]
+    return pixels.astype(numpy.float64)[:, :, found]
 
 
 @dataclasses.dataclass(frozen=True)
