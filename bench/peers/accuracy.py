@@ -23,6 +23,7 @@ def read_rgb(path: pathlib.Path) -> numpy.ndarray:
     pixels = picture.read_image(oiio.FLOAT)
     if pixels is None:
         raise RuntimeError(f"{path}: {picture.geterror()}")
+    picture.close()
     return pixels.astype(numpy.float64)[:, :, [channel(c) for c in "RGB"]]
 
 

@@ -27,6 +27,7 @@ def read_rgb(path: pathlib.Path) -> numpy.ndarray:
     if pixels is None:
         why = oiio.geterror() if picture is None else picture.geterror()
         raise BadInput(f"{path}: cannot be read: {why}")
+    picture.close()
     names = list(picture.spec().channelnames)
     found = [next((i for i, n in enumerate(names) if n == c or n.endswith("Combined." + c)), None)
              for c in "RGB"]
