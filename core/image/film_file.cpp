@@ -23,6 +23,9 @@ constexpr char kSettingsKey[] = "film.settings";
 constexpr char kFeatureSppKey[] = "film.feature_spp";
 constexpr char kNonFiniteKey[] = "film.non_finite";
 constexpr int kRowsAtOnce = 64;
+constexpr int kRowsOfChunk = 16;                    // what OpenEXR unpacks at once
+constexpr int64_t kBandBytesMax = int64_t{1} << 28;  // of whichever bytes_max
+constexpr int64_t kNodeOverheadBytes = 512;         // bounds, window, vectors' heads
 
 constexpr std::array<const char*, kNumFloatPlanes> kFloatNames = {
     "radiance.mean.R", "radiance.mean.G", "radiance.mean.B", "radiance.msd.R", "radiance.msd.G",
@@ -220,7 +223,8 @@ absl::Status CheckVersion(const std::string& path, const Metadata& metadata) {
 
 class FilmReader {
  public:
-  FilmReader(const std::string& path, OIIO::ImageInput* input) : path_(path), input_(*input) {
+  FilmReader(const std::string& path, int64_t bytes_max, OIIO::ImageInput* input)
+      : path_(path), bytes_max_(bytes_max), input_(*input) {
     region_ = DataWindow(input_.spec());
   }
 
@@ -241,6 +245,9 @@ class FilmReader {
     if (!IsFeatureEnd(feature_end_)) return DamagedImage(path_, kFeatureSppKey);
     film.feature_end = feature_end_;
     status = FindGroups();
+    if (status.ok() && BytesOfRows(kRowsOfChunk) > std::max(bytes_max_, kBandBytesMax)) {
+      status = TooLarge();
+    }
     if (status.ok()) status = ForEachBand([this](const Band& band) { return FindNodes(band); });
     if (status.ok()) status = MakeNodes(&film);
     if (status.ok()) {
@@ -262,6 +269,18 @@ class FilmReader {
   }
 
  private:
+  absl::Status TooLarge() const {
+    return absl::InvalidArgumentError(
+        absl::StrCat(path_, ": the film needs more than the ", bytes_max_ >> 20,
+                     " MiB that one of its size and purpose may take; write it anew with --layers "
+                     "film"));
+  }
+
+  int64_t BytesOfRows(int rows) const {
+    return int64_t{rows} * region_.width() * input_.spec().nchannels *
+           static_cast<int64_t>(sizeof(uint32_t));
+  }
+
   absl::Status FindGroups() {
     const OIIO::ImageSpec& spec = input_.spec();
     std::map<std::string, size_t> channels;
@@ -313,6 +332,7 @@ class FilmReader {
           const PixelRect pixel{x, y, x + 1, y + 1};
           auto [found, is_new] = found_.try_emplace(ordinal, NodeBounds{g, pixel});
           NodeBounds& node = found->second;
+          if (is_new && std::ssize(found_) > bytes_max_ / kNodeOverheadBytes) return TooLarge();
           if (node.group != g) return DamagedImage(path_, "a node with two sample ranges");
           node.window = {std::min(node.window.x_begin, x), std::min(node.window.y_begin, y),
                          std::max(node.window.x_end, x + 1), std::max(node.window.y_end, y + 1)};
@@ -325,6 +345,12 @@ class FilmReader {
 
   absl::Status MakeNodes(FilmFile* film) {
     uint32_t expected = 1;
+    int64_t bytes = 0;
+    for (const auto& [ordinal, node] : found_) {
+      bytes += kNodeOverheadBytes + node.num_pixels * std::ssize(groups_[node.group].places) *
+                                        static_cast<int64_t>(sizeof(uint32_t));
+    }
+    if (bytes > bytes_max_) return TooLarge();
     for (const auto& [ordinal, node] : found_) {
       if (ordinal != expected++) return DamagedImage(path_, "a node is missing");
       if (node.window.area() != node.num_pixels) {
@@ -353,9 +379,11 @@ class FilmReader {
   template <typename Visit>
   absl::Status ForEachBand(const Visit& visit) {
     const size_t num_channels = static_cast<size_t>(input_.spec().nchannels);
-    std::vector<uint32_t> words(num_channels * static_cast<size_t>(region_.width()) * kRowsAtOnce);
-    for (int y = region_.y_begin; y < region_.y_end; y += kRowsAtOnce) {
-      const int y_end = std::min(y + kRowsAtOnce, region_.y_end);
+    const int rows = BytesOfRows(kRowsAtOnce) > kBandBytesMax ? kRowsOfChunk : kRowsAtOnce;
+    std::vector<uint32_t> words(num_channels * static_cast<size_t>(region_.width()) *
+                                static_cast<size_t>(rows));
+    for (int y = region_.y_begin; y < region_.y_end; y += rows) {
+      const int y_end = std::min(y + rows, region_.y_end);
       if (!input_.read_scanlines(0, 0, y, y_end, 0, 0, input_.spec().nchannels,
                                  OIIO::TypeDesc::UNKNOWN, words.data())) {
         return DamagedImage(path_, input_.geterror());
@@ -367,6 +395,7 @@ class FilmReader {
   }
 
   const std::string path_;
+  const int64_t bytes_max_;
   OIIO::ImageInput& input_;
   PixelRect region_;
   int64_t feature_end_ = kAllFeatures;
@@ -420,14 +449,14 @@ absl::Status WriteFilmFile(const std::string& path, const FilmFile& film, const 
   });
 }
 
-absl::StatusOr<FilmFile> ReadFilmFile(const std::string& path, const ImageReadLimits& limits) {
-  absl::StatusOr<OpenedImage> opened = OpenImage(path, limits);
+absl::StatusOr<FilmFile> ReadFilmFile(const std::string& path, const FilmReadLimits& limits) {
+  absl::StatusOr<OpenedImage> opened = OpenImage(path, limits.image);
   if (!opened.ok()) return opened.status();
   if (opened->format != "openexr" || opened->input->spec().tile_width != 0) {
     return absl::FailedPreconditionError(
         absl::StrCat(path, ": the image holds no film; write one with --layers film"));
   }
-  return FilmReader(path, opened->input.get()).Read();
+  return FilmReader(path, limits.bytes_max, opened->input.get()).Read();
 }
 
 }  // namespace tessera

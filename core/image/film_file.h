@@ -11,6 +11,7 @@
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -42,10 +43,17 @@ inline constexpr int kFilmRangesMax = 1024;
 // too many ranges; as WriteExr.
 absl::Status WriteFilmFile(const std::string& path, const FilmFile& film, const Image& picture);
 
-// Reads the film of `path`; its picture is read by ReadImage.
+struct FilmReadLimits {
+  ImageReadLimits image = {.values_max = int64_t{1} << 32};
+  // Memory that the nodes may take, and a band of rows beside them (of which 256 MiB are always
+  // allowed). Compressed, a film of zeros is a thousandth of that.
+  int64_t bytes_max = std::numeric_limits<int64_t>::max();
+};
+
+// Reads the film of `path`; its picture is read by ReadImage. What is beyond a limit is refused
+// before memory is taken for it.
 // Errors: FAILED_PRECONDITION  an image without a film: says how to write one
 //         INVALID_ARGUMENT     damaged, inconsistent or beyond the limits; and as ReadImage
-absl::StatusOr<FilmFile> ReadFilmFile(const std::string& path, const ImageReadLimits& limits = {
-                                                                   .values_max = int64_t{1} << 32});
+absl::StatusOr<FilmFile> ReadFilmFile(const std::string& path, const FilmReadLimits& limits = {});
 
 }  // namespace tessera

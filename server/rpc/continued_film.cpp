@@ -47,6 +47,21 @@ void CopyPixels(const TileStatistics& from, const PixelRect& rect, TileStatistic
   }
 }
 
+// What the film of a job may take in memory, whoever wrote it: in every pixel a node for each power
+// of two of samples, with features as far as the job has them.
+FilmReadLimits LimitsOf(const v1::JobSettings& job) {
+  const int64_t feature_end = FeatureEndOf(job.feature_spp());
+  int64_t channels = 0;
+  for (int64_t samples = 1; samples <= kSamplesMax; samples *= 2) {
+    const int floats = samples <= feature_end ? kNumFloatPlanes : kNumRadiancePlanes;
+    const int counts = samples <= feature_end ? kNumCountPlanes : kNumLaterCountPlanes;
+    channels += 1 + kNumHalves * (floats + counts);
+  }
+  const int64_t area = RegionOf(job).area();
+  return {.image = {.pixels_max = area, .values_max = area * kFilmRangesMax * 64},
+          .bytes_max = area * channels * static_cast<int64_t>(sizeof(uint32_t))};
+}
+
 // Nodes of one tile under construction, by range; complete once every pixel has come.
 struct Cut {
   TileStatistics statistics;
@@ -112,7 +127,7 @@ std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid) {
 absl::StatusOr<std::shared_ptr<Film>> ReadContinuedFilm(const std::string& path,
                                                         const v1::JobSettings& job,
                                                         const std::string& version) {
-  const absl::StatusOr<FilmFile> file = ReadFilmFile(path);
+  const absl::StatusOr<FilmFile> file = ReadFilmFile(path, LimitsOf(job));
   if (!file.ok()) return file.status();
   if (file->version != version) {
     return absl::InvalidArgumentError(absl::StrCat(

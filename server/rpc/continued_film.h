@@ -21,6 +21,7 @@ absl::Status CheckSameSamples(const v1::JobSettings& film, const v1::JobSettings
 std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid);
 
 // Reads the file at `path`; `version`: this program's, other versions may draw other bits (C2).
+// No more memory is taken than a film of the job's size can need: its bytes are a stranger's.
 // Errors: those; INVALID_ARGUMENT naming the film's version if it is another; as ReadFilmFile.
 absl::StatusOr<std::shared_ptr<Film>> ReadContinuedFilm(const std::string& path,
                                                         const v1::JobSettings& job,

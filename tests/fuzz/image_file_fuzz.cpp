@@ -41,7 +41,8 @@ void FuzzOne(std::string_view input) {
   Write(input);
   const absl::StatusOr<Image> image = ReadImage(ThePath(), kLimits);
   if (!image.ok() && image.status().message().empty()) std::abort();
-  const absl::StatusOr<FilmFile> film = ReadFilmFile(ThePath(), kLimits);
+  const absl::StatusOr<FilmFile> film =
+      ReadFilmFile(ThePath(), {.image = kLimits, .bytes_max = 1 << 24});
   if (!film.ok()) {
     if (film.status().message().empty()) std::abort();
     return;

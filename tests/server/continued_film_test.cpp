@@ -71,6 +71,24 @@ TEST(ReadContinuedFilm, TakesFilmsOfItsVersionOnly) {
   std::filesystem::remove(path);
 }
 
+// The bytes are a client's: some MB of packed zeros would be gigabytes of nodes.
+TEST(ReadContinuedFilm, LargerFilmsThanTheJobsAreRefusedUnread) {
+  v1::JobSettings settings = *CompleteSettings(SmallSettings(4), SmallConfig().defaults);
+  FilmFile file;
+  file.settings = "{}";
+  file.region = file.frame = PixelRect::FromSize(0, 0, 512, 256);
+  file.nodes.push_back(SyntheticTile(1, file.region, {0, 4}));
+  Image picture;
+  picture.data_window = picture.display_window = file.region;
+  picture.Add("Z", std::vector<float>(static_cast<size_t>(file.region.area())));
+  const std::string path = testing::TempDir() + "/large-" + std::to_string(::getpid()) + ".exr";
+  ASSERT_TRUE(WriteFilmFile(path, file, picture).ok());
+  const absl::Status larger = ReadContinuedFilm(path, settings, "1.2.3").status();
+  EXPECT_TRUE(absl::IsInvalidArgument(larger));
+  EXPECT_NE(larger.message().find("512x256 pixels"), absl::string_view::npos) << larger;
+  std::filesystem::remove(path);
+}
+
 TEST(CheckSameSamples, NamesWhatDiffers) {
   const v1::JobSettings film = SmallSettings(4);
   v1::JobSettings job = SmallSettings(64);

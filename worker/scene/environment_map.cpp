@@ -25,14 +25,15 @@ bool CleanTexel(float* value) {
   return true;
 }
 
+absl::Status AtEnvironment(const std::string& name, const absl::Status& status) {
+  return absl::Status(status.code(), absl::StrCat("environment ", name, ": ", status.message()));
+}
+
 absl::Status ReadMap(const std::string& name, const AssetReader& read_asset,
                      EnvironmentLight* environment, std::vector<std::string>* notes) {
   TESSERA_ASSIGN_OR_RETURN(const auto file, read_asset(name));
   absl::StatusOr<ImageSize> size = DecodeRadiance(*file, &environment->texels);
-  if (!size.ok()) {
-    return absl::Status(size.status().code(),
-                        absl::StrCat("environment ", name, ": ", size.status().message()));
-  }
+  if (!size.ok()) return AtEnvironment(name, size.status());
   environment->width = size->width;
   environment->height = size->height;
   int64_t num_changed = 0;
@@ -55,6 +56,15 @@ bool HasOwnLights(const Scene& scene) {
     const Mesh& mesh = scene.meshes[static_cast<size_t>(instance.mesh)];
     return scene.materials[static_cast<size_t>(mesh.material)].emission.length2() > 0;
   });
+}
+
+absl::StatusOr<int64_t> EnvironmentMapBytes(const EnvironmentChoice& choice,
+                                            const AssetReader& read_asset) {
+  if (choice.kind != EnvironmentChoice::Kind::kMap) return 0;
+  TESSERA_ASSIGN_OR_RETURN(const auto file, read_asset(choice.map_name));
+  const absl::StatusOr<ImageSize> size = ReadRadianceSize(*file);
+  if (!size.ok()) return AtEnvironment(choice.map_name, size.status());
+  return int64_t{size->width} * size->height * static_cast<int64_t>(sizeof(V3f));
 }
 
 absl::Status ChooseEnvironment(const EnvironmentChoice& choice, const AssetReader& read_asset,

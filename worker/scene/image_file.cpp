@@ -88,6 +88,14 @@ absl::StatusOr<OpenImage> Open(std::string_view file, const char* format) {
   return image;
 }
 
+absl::StatusOr<OpenImage> OpenRadiance(std::string_view file) {
+  const char* format = FormatOf(file);
+  if (format == nullptr || !IsRadianceFormat(format)) {
+    return absl::InvalidArgumentError("not a Radiance .hdr or OpenEXR file; convert it");
+  }
+  return Open(file, format);
+}
+
 }  // namespace
 
 absl::StatusOr<ImageSize> ReadImageSize(std::string_view file) {
@@ -122,12 +130,13 @@ absl::Status DecodeRgba8(std::string_view file, std::vector<uint8_t>* rgba) {
   return absl::OkStatus();
 }
 
+absl::StatusOr<ImageSize> ReadRadianceSize(std::string_view file) {
+  TESSERA_ASSIGN_OR_RETURN(const OpenImage image, OpenRadiance(file));
+  return ImageSize{image.input->spec().width, image.input->spec().height};
+}
+
 absl::StatusOr<ImageSize> DecodeRadiance(std::string_view file, std::vector<Imath::V3f>* texels) {
-  const char* format = FormatOf(file);
-  if (format == nullptr || !IsRadianceFormat(format)) {
-    return absl::InvalidArgumentError("not a Radiance .hdr or OpenEXR file; convert it");
-  }
-  TESSERA_ASSIGN_OR_RETURN(const OpenImage image, Open(file, format));
+  TESSERA_ASSIGN_OR_RETURN(const OpenImage image, OpenRadiance(file));
   const OIIO::ImageSpec& spec = image.input->spec();
   const size_t num_pixels = static_cast<size_t>(spec.width) * static_cast<size_t>(spec.height);
   texels->assign(num_pixels, Imath::V3f(0, 0, 0));

@@ -29,6 +29,9 @@ absl::StatusOr<ImageSize> ReadImageSize(std::string_view file);
 // height.
 absl::Status DecodeRgba8(std::string_view file, std::vector<uint8_t>* rgba);
 
+// Reads the header of a Radiance HDR or OpenEXR file. Errors: as ReadImageSize.
+absl::StatusOr<ImageSize> ReadRadianceSize(std::string_view file);
+
 // Linear RGB of a Radiance HDR or OpenEXR file, top row first.
 absl::StatusOr<ImageSize> DecodeRadiance(std::string_view file, std::vector<Imath::V3f>* texels);
 

@@ -60,6 +60,9 @@ absl::Status Load(const SceneRequest& request, const AssetReader& read_asset, Sc
   scene->materials = std::move(table.materials);
   TESSERA_ASSIGN_OR_RETURN(const LocatedImages images, LocateImages(*document, table.textures));
   needed_bytes += images.decoded_bytes;
+  TESSERA_ASSIGN_OR_RETURN(const int64_t map_bytes,
+                           EnvironmentMapBytes(request.environment, read_asset));
+  needed_bytes += map_bytes;
   TESSERA_RETURN_IF_ERROR(CheckMemory(needed_bytes, request.memory_max_bytes));
 
   TESSERA_RETURN_IF_ERROR(DecodeTextures(*document, table.textures, images, scene));
@@ -75,11 +78,7 @@ absl::Status Load(const SceneRequest& request, const AssetReader& read_asset, Sc
                            ReadCameras(*document, nodes, scene->origin));
   scene->notes = document->notes();
   TESSERA_RETURN_IF_ERROR(ChooseCamera(request.camera, request.aspect, cameras, scene));
-  TESSERA_RETURN_IF_ERROR(ChooseEnvironment(request.environment, read_asset, scene));
-  if (scene->environment) {
-    needed_bytes += static_cast<int64_t>(scene->environment->texels.size() * sizeof(V3f));
-  }
-  return CheckMemory(needed_bytes, request.memory_max_bytes);
+  return ChooseEnvironment(request.environment, read_asset, scene);
 }
 
 }  // namespace

@@ -148,6 +148,19 @@ TEST_F(FilmFileTest, ImagesWithoutAFilmSayHowToMakeOne) {
   EXPECT_EQ(ReadFilmFile(Path("missing.exr")).status().code(), absl::StatusCode::kNotFound);
 }
 
+// A pixel may belong to a node of every range: what they would take is counted before it is taken.
+TEST_F(FilmFileTest, MemoryIsCountedBeforeItIsTaken) {
+  const FilmFile film = InterruptedFilm({0, 0, 64, 64}, 1, 11);
+  ASSERT_TRUE(WriteFilmFile(Path("film.exr"), film, PictureOf(film)).ok());
+  ASSERT_TRUE(ReadFilmFile(Path("film.exr"), {.bytes_max = int64_t{64} << 20}).ok());
+  for (const int64_t bytes_max : {int64_t{1} << 16, int64_t{2} << 20}) {
+    const absl::Status status =
+        ReadFilmFile(Path("film.exr"), {.bytes_max = bytes_max}).status();
+    EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << bytes_max;
+    EXPECT_THAT(std::string(status.message()), HasSubstr("the film needs more than the"));
+  }
+}
+
 TEST_F(FilmFileTest, InconsistentFilmsAreRefused) {
   const FilmFile film = InterruptedFilm({0, 0, 20, 10}, 8, 1);
   ASSERT_TRUE(WriteFilmFile(Path("film.exr"), film, PictureOf(film)).ok());

@@ -68,6 +68,19 @@ TEST(EnvironmentMap, MapIsReadCleanedAndTurned) {
   EXPECT_TRUE(HasNote(**scene, "4 negative, non-finite or huge values"));
 }
 
+// Refused by its header: unpacked it would take 384 MiB.
+TEST(EnvironmentMap, LargeMapsAreRefusedBeforeTheyAreUnpacked) {
+  SceneFile file = OneTriangle();
+  file.request.environment.kind = EnvironmentChoice::Kind::kMap;
+  file.request.environment.map_name = "sky.hdr";
+  file.request.memory_max_bytes = 1 << 20;
+  file.files["sky.hdr"] = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4096 +X 8192\n";
+  EXPECT_EQ(file.Load().status().code(), absl::StatusCode::kResourceExhausted);
+  EXPECT_THAT(file.LoadError(), HasSubstr("the scene needs about 38"));
+  file.files["sky.hdr"] = "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 100000 +X 100000\n";
+  EXPECT_THAT(file.LoadError(), HasSubstr("100000 x 100000 px is not supported"));
+}
+
 TEST(EnvironmentMap, MissingAndForeignMaps) {
   SceneFile file = OneTriangle();
   file.request.environment.kind = EnvironmentChoice::Kind::kMap;

@@ -2,6 +2,7 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <zlib.h>
 
 #include <cstdlib>
 
@@ -39,6 +40,33 @@ TEST(ImageFile, PngOfAnyChannelCountBecomesRgba) {
       }
     }
   }
+}
+
+std::string BigEndian(uint32_t value) {
+  std::string bytes;
+  for (int shift = 24; shift >= 0; shift -= 8) bytes += static_cast<char>(value >> shift);
+  return bytes;
+}
+
+std::string PngChunk(const std::string& typed) {
+  const auto sum = crc32(0, reinterpret_cast<const Bytef*>(typed.data()),
+                         static_cast<uInt>(typed.size()));
+  return BigEndian(static_cast<uint32_t>(typed.size() - 4)) + typed +
+         BigEndian(static_cast<uint32_t>(sum));
+}
+
+// Headers of 10^10 pixels: refused before anything is taken for them.
+TEST(ImageFile, HugePicturesAreRefusedByTheirHeaders) {
+  const std::string side = BigEndian(100000);
+  const std::string png = "\x89PNG\r\n\x1a\n" +
+                          PngChunk("IHDR" + side + side + std::string("\x08\x06\0\0\0", 5)) +
+                          PngChunk("IDAT") + PngChunk("IEND");
+  const absl::Status status = ReadImageSize(png).status();
+  EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(status.message()), HasSubstr("100000"));
+  std::vector<uint8_t> rgba;
+  EXPECT_FALSE(DecodeRgba8(png, &rgba).ok());
+  EXPECT_EQ(rgba.capacity(), 0u);
 }
 
 TEST(ImageFile, JpegAndWebp) {
