@@ -19,6 +19,7 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -245,10 +246,36 @@ void MeasureHarm(const FramePlanes& planes, const FilteredPlanes& out, const Tru
   for (const BlockHarm& block : blocks) row->worst_block = std::max(row->worst_block, block.ratio);
 }
 
+// Moves what the samples of `news` say by half of its standard deviation, as more samples would.
+void MakeNews(const PixelRect& news, std::mt19937* random, FramePlanes* planes) {
+  std::normal_distribution<float> normal(0, 0.5f);
+  const auto move = [&](float variance, float* value) {
+    *value += normal(*random) * std::sqrt(std::max(variance, 0.0f));
+  };
+  for (int y = news.y_begin; y < news.y_end; ++y) {
+    for (int x = news.x_begin; x < news.x_end; ++x) {
+      const auto i = static_cast<size_t>(planes->bounds.IndexOf(x, y));
+      for (size_t c = 0; c < 3; ++c) {
+        float& first = planes->color_half[0][c][i];
+        float& second = planes->color_half[1][c][i];
+        const float before = (first + second) / 2;
+        for (float* const half : {&first, &second}) {
+          move(2 * planes->sample_variance_of_mean[c][i], half);
+        }
+        planes->color[c][i] += (first + second) / 2 - before;
+        move(planes->albedo_variance[c][i], &planes->albedo[c][i]);
+        move(planes->normal_variance[c][i], &planes->normal[c][i]);
+      }
+      move(planes->depth_variance[i], &planes->depth[i]);
+    }
+  }
+  CalibrateVariance(news.Expand(kCalibrationRadiusPx).Intersect(planes->bounds), planes);
+}
+
 // Seconds of CPU per pixel of a tile to bring the whole filtered picture up to date after news in
 // it, and the bytes per pixel of the frame that this takes: the mean of the tiles whose reach lies
 // in the frame, or of all.
-void MeasureUpdate(const FramePlanes& planes, const Denoiser& denoiser) {
+void MeasureUpdate(FramePlanes planes, const Denoiser& denoiser) {
   constexpr int kTilePx = 64;
   const PixelRect& bounds = planes.bounds;
   const auto filter = denoiser.MakeFrameFilter({bounds, DenoiseQuality::kFinal}, bounds);
@@ -259,12 +286,14 @@ void MeasureUpdate(const FramePlanes& planes, const Denoiser& denoiser) {
   const auto put = [&](const FilteredPlanes& part) { CopyPixels(part, &out); };
   filter->Filter(planes, {&bounds, 1}, one_by_one, put);
   const TileGrid grid(bounds, kTilePx);
+  std::mt19937 random(1);
   double whole_seconds = 0, cut_seconds = 0, whole_pixels = 0, cut_pixels = 0;
   for (int64_t tile = 0; tile < grid.num_tiles(); ++tile) {
     const PixelRect news = grid.WindowOf(tile);
     const PixelRect reached = news.Expand(filter->reach_px());
     const bool is_whole = bounds.Contains(reached);
     const PixelRect window = reached.Intersect(bounds);
+    MakeNews(news, &random, &planes);
     const double begin = UserSeconds();
     filter->Invalidate(news);
     filter->Filter(planes, {&window, 1}, one_by_one, put);

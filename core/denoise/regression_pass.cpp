@@ -68,9 +68,11 @@ class Accumulator {
 };
 
 // Calls `fit(x, y, reach)` at the lattice's centres and then wherever these left too little, both
-// in the order of rows: the bits of a pixel do not depend on the window.
-void VisitCentres(const RegressionInput& input, const PassSettings& settings,
-                  const Accumulator& sums, const std::function<void(int, int, int)>& fit) {
+// in the order of rows: the bits of a pixel do not depend on the window. Returns
+// PassOutputs::on_demand.
+std::vector<uint8_t> VisitCentres(const RegressionInput& input, const PassSettings& settings,
+                                  const Accumulator& sums,
+                                  const std::function<void(int, int, int)>& fit) {
   const auto is_known = [&](int x, int y) {
     return input.known[static_cast<size_t>(input.bounds.IndexOf(x, y))] > 0;
   };
@@ -86,8 +88,11 @@ void VisitCentres(const RegressionInput& input, const PassSettings& settings,
       if (Modulo(x, step) == step / 2 && is_known(x, y)) fit(x, y, radius);
     }
   }
+  std::vector<uint8_t> on_demand(static_cast<size_t>(settings.bounds.area()));
   std::vector<std::pair<int, int>> thin;
+  uint8_t round = 0;
   for (const int thin_step : kOnDemandStepsPx) {
+    ++round;
     const PixelRect wanted = settings.bounds.Expand(reach).Intersect(settings.frame);
     thin.clear();
     for (int y = wanted.y_begin; y < wanted.y_end; ++y) {
@@ -99,9 +104,14 @@ void VisitCentres(const RegressionInput& input, const PassSettings& settings,
         }
       }
     }
-    for (const auto& [x, y] : thin) fit(x, y, constants.on_demand_reach_px);
+    for (const auto& [x, y] : thin) {
+      fit(x, y, constants.on_demand_reach_px);
+      if (!settings.bounds.Contains(x, y)) continue;
+      on_demand[static_cast<size_t>(settings.bounds.IndexOf(x, y))] = round;
+    }
     reach -= constants.on_demand_reach_px;
   }
+  return on_demand;
 }
 
 // Each run's output; its sums are freed as soon as they are divided.
@@ -121,10 +131,25 @@ float Kept(float energy, float noise) { return energy > noise ? 1.0f - noise / e
 
 }  // namespace
 
-std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
-                                       std::span<const ColorHalves* const> colors,
-                                       const SmoothFeatures& features,
-                                       const PassSettings& settings) {
+PixelRect PredictedFrom(const PixelRect& centres, const PixelRect& frame,
+                        const RegressionSettings& constants) {
+  const PixelRect inside = centres.Intersect(frame);
+  if (inside.empty()) return inside;
+  const int step = constants.lattice_step_px;
+  const PixelRect lattice = {inside.x_begin + Modulo(step / 2 - inside.x_begin, step),
+                             inside.y_begin + Modulo(step / 2 - inside.y_begin, step),
+                             inside.x_end - Modulo(inside.x_end - 1 - step / 2, step),
+                             inside.y_end - Modulo(inside.y_end - 1 - step / 2, step)};
+  const PixelRect predicted = inside.Expand(constants.on_demand_reach_px);
+  if (lattice.empty()) return predicted;
+  const PixelRect windows = lattice.Expand(constants.window_radius_px);
+  return {std::min(predicted.x_begin, windows.x_begin),
+          std::min(predicted.y_begin, windows.y_begin),
+          std::max(predicted.x_end, windows.x_end), std::max(predicted.y_end, windows.y_end)};
+}
+
+PassOutputs RunCrossPasses(const RegressionInput& input, std::span<const ColorHalves* const> colors,
+                           const SmoothFeatures& features, const PassSettings& settings) {
   const PixelRect reached = settings.bounds.Expand(settings.constants.pass_reach_px());
   TESSERA_CHECK(features.bounds.Contains(reached) && input.bounds.Contains(reached.Expand(1)));
   Planes3 variance = input.variance;  // of one half's mean
@@ -143,7 +168,7 @@ std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
   }
   WindowWeights weights(settings.constants.window_radius_px, settings.constants.weights);
   WindowFit fit;
-  VisitCentres(input, settings, sums[0], [&](int x, int y, int reach_px) {
+  const auto fit_at = [&](int x, int y, int reach_px) {
     weights.Set(guide, 1, x, y);
     fit.SetCentre(weights, features);
     for (size_t value = 0; value < static_cast<size_t>(guide.num_values); ++value) {
@@ -162,14 +187,15 @@ std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
                              into_sums.sum(half, 2)};
       fit.AddPrediction(into_sums.bounds(), reach_px, into, into_sums.weight_sum(half));
     }
-  });
-  return Finish(input, colors, settings.bounds, &sums);
+  };
+  std::vector<uint8_t> on_demand = VisitCentres(input, settings, sums[0], fit_at);
+  return {Finish(input, colors, settings.bounds, &sums), std::move(on_demand)};
 }
 
 PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& features,
                         const PassSettings& settings) {
   const ColorHalves* const colors[] = {&input.color};
-  return std::move(RunCrossPasses(input, colors, features, settings).front());
+  return std::move(RunCrossPasses(input, colors, features, settings).runs.front());
 }
 
 namespace {
@@ -191,10 +217,9 @@ void ShrinkByHalves(float share_a, WindowFit* fit) {
 
 }  // namespace
 
-std::vector<PassOutput> RunPilotPasses(const RegressionInput& input,
-                                       std::span<const ColorHalves* const> colors,
-                                       const SmoothFeatures& features, const Pilot& pilot,
-                                       int patch_radius_px, const PassSettings& settings) {
+PassOutputs RunPilotPasses(const RegressionInput& input, std::span<const ColorHalves* const> colors,
+                           const SmoothFeatures& features, const Pilot& pilot, int patch_radius_px,
+                           const PassSettings& settings) {
   const PixelRect reached = settings.bounds.Expand(settings.constants.pass_reach_px());
   TESSERA_CHECK(features.bounds.Contains(reached) && input.bounds.Contains(reached) &&
                 pilot.bounds.Contains(reached.Expand(patch_radius_px)));
@@ -219,7 +244,7 @@ std::vector<PassOutput> RunPilotPasses(const RegressionInput& input,
   weight_settings.excuse_ratio = kInfinity;
   WindowWeights weights(settings.constants.window_radius_px, weight_settings);
   WindowFit fit;
-  VisitCentres(input, settings, sums[0], [&](int x, int y, int reach_px) {
+  const auto fit_at = [&](int x, int y, int reach_px) {
     weights.Set(guide, patch_radius_px, x, y);
     fit.SetCentre(weights, features);
     for (size_t run = 0; run < colors.size(); ++run) {
@@ -233,15 +258,16 @@ std::vector<PassOutput> RunPilotPasses(const RegressionInput& input,
                              to.sum(1, 0), to.sum(1, 1), to.sum(1, 2)};
       fit.AddPrediction(to.bounds(), reach_px, into, to.weight_sum(0));
     }
-  });
-  return Finish(input, colors, settings.bounds, &sums);
+  };
+  std::vector<uint8_t> on_demand = VisitCentres(input, settings, sums[0], fit_at);
+  return {Finish(input, colors, settings.bounds, &sums), std::move(on_demand)};
 }
 
 PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& features,
                         const Pilot& pilot, int patch_radius_px, const PassSettings& settings) {
   const ColorHalves* const colors[] = {&input.color};
   return std::move(
-      RunPilotPasses(input, colors, features, pilot, patch_radius_px, settings).front());
+      RunPilotPasses(input, colors, features, pilot, patch_radius_px, settings).runs.front());
 }
 
 }  // namespace tessera

@@ -3,6 +3,7 @@
 // Collaborative output after Bitterli et al. 2016 (eq. 8) and Boughida & Boubekeur 2017.
 #pragma once
 
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -21,6 +22,13 @@ struct PassOutput {
   std::array<Planes3, kNumHalves> color;
 };
 
+// What a pass makes of several colours, and in which round each pixel of `bounds` became a centre
+// on demand (from 1 on; 0: it did not).
+struct PassOutputs {
+  std::vector<PassOutput> runs;
+  std::vector<uint8_t> on_demand;
+};
+
 // Pixels whose weights from the lattice's centres add up to less than one pixel's own weight become
 // centres themselves and predict the pixels on_demand_reach_px around them: first those of every
 // second row and column, then what these have left.
@@ -29,6 +37,11 @@ struct PassSettings {
   PixelRect bounds;  // of the output
   RegressionSettings constants;
 };
+
+// The pixels that fits at centres of `centres` predict, if the pixels that become centres stay the
+// same: the smallest rectangle around them.
+PixelRect PredictedFrom(const PixelRect& centres, const PixelRect& frame,
+                        const RegressionSettings& constants);
 
 // The first pass. Half A is fitted with weights from half B and the other way round, so that no
 // weight depends on the noise that it multiplies; patches are 3x3. Coefficients beyond the constant
@@ -39,10 +52,8 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
 
 // The first pass of several colours that differ from input.color by little, at most two, at the
 // centres that the first one asks for: less work than each by itself. Row-major as `input`'s.
-std::vector<PassOutput> RunCrossPasses(const RegressionInput& input,
-                                       std::span<const ColorHalves* const> colors,
-                                       const SmoothFeatures& features,
-                                       const PassSettings& settings);
+PassOutputs RunCrossPasses(const RegressionInput& input, std::span<const ColorHalves* const> colors,
+                           const SmoothFeatures& features, const PassSettings& settings);
 
 // What guides the second pass: the first one's results and the variance of the first of them, over
 // `bounds`.
@@ -60,9 +71,8 @@ PassOutput RunPilotPass(const RegressionInput& input, const SmoothFeatures& feat
                         const Pilot& pilot, int patch_radius_px, const PassSettings& settings);
 
 // The later pass of several colours as RunCrossPasses', each with the weights of its own pilot.
-std::vector<PassOutput> RunPilotPasses(const RegressionInput& input,
-                                       std::span<const ColorHalves* const> colors,
-                                       const SmoothFeatures& features, const Pilot& pilot,
-                                       int patch_radius_px, const PassSettings& settings);
+PassOutputs RunPilotPasses(const RegressionInput& input, std::span<const ColorHalves* const> colors,
+                           const SmoothFeatures& features, const Pilot& pilot, int patch_radius_px,
+                           const PassSettings& settings);
 
 }  // namespace tessera

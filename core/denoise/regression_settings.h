@@ -58,10 +58,25 @@ struct RegressionSettings {
   int first_of_second_px() const { return pass_reach_px() + 1 + pilot_radius_px; }
   // Around the picture, of the passes' results: pooled to be blended and pooled to be judged.
   int picture_reach_px() const { return risk_radius_px + error_radius_px; }
-  // How far around news in the planes each stage changes; a patch has a radius of one.
+  // How far around news in the planes features change, and the fits' centres of the first pass; a
+  // patch has a radius of one.
   int feature_news_px() const { return prefilter_radius_px + 1; }
+  int first_centre_news_px() const {
+    return window_radius_px + std::max(1 + kInputRadiusPx, feature_news_px());
+  }
+  // How far around news in the first pass centres of the second one change, and around news in the
+  // planes if the first pass stays the same.
+  int second_centre_news_px() const { return window_radius_px + 1 + pilot_radius_px; }
+  int second_centre_plane_news_px() const {
+    return std::max(second_centre_news_px() + kInputRadiusPx,
+                    window_radius_px + feature_news_px());
+  }
+  // How far around pixels that become centres, or are none any more, a pass changes: these predict,
+  // and others may become centres in the second round.
+  int on_demand_news_px() const { return 2 * on_demand_reach_px; }
+  // How far around news in the planes each pass may change.
   int first_news_px() const {
-    return pass_reach_px() + std::max(1 + kInputRadiusPx, feature_news_px());
+    return first_centre_news_px() + window_radius_px + on_demand_news_px();
   }
   int second_news_px() const { return first_of_second_px() + first_news_px(); }
   int reach_px() const { return picture_reach_px() + second_news_px(); }

@@ -7,6 +7,13 @@
 namespace tessera {
 namespace {
 
+constexpr uint8_t kFresh = 0, kStale = 1, kDoubtful = 2;
+
+// Not std::replace, which stores by need and so not in vectors.
+void Replace(uint8_t* row, int width, uint8_t from, uint8_t to) {
+  for (int x = 0; x < width; ++x) row[x] = row[x] == from ? to : row[x];
+}
+
 int64_t Cost(const PixelRect& rect, int border_px) {
   return rect.empty() ? 0 : rect.Expand(border_px).area();
 }
@@ -25,30 +32,65 @@ std::pair<PixelRect, PixelRect> Halves(const PixelRect& rect, bool is_across) {
 }  // namespace
 
 StaleMask::StaleMask(const PixelRect& bounds)
-    : bounds_(bounds), is_stale_(static_cast<size_t>(bounds.area()), 1) {}
+    : bounds_(bounds), states_(static_cast<size_t>(bounds.area()), kStale) {}
 
 void StaleMask::Mark(const PixelRect& rect) {
   const PixelRect inside = rect.Intersect(bounds_);
   if (inside.empty()) return;
   for (int y = inside.y_begin; y < inside.y_end; ++y) {
-    std::fill_n(is_stale_.begin() + bounds_.IndexOf(inside.x_begin, y), inside.width(), 1);
+    std::fill_n(states_.begin() + bounds_.IndexOf(inside.x_begin, y), inside.width(), kStale);
+  }
+}
+
+void StaleMask::Doubt(const PixelRect& rect) {
+  const PixelRect inside = rect.Intersect(bounds_);
+  if (inside.empty()) return;
+  for (int y = inside.y_begin; y < inside.y_end; ++y) {
+    uint8_t* const row = states_.data() + bounds_.IndexOf(inside.x_begin, y);
+    Replace(row, inside.width(), kFresh, kDoubtful);
+  }
+}
+
+void StaleMask::Settle(const PixelRect& rect, int radius_px) {
+  const PixelRect inside = rect.Intersect(bounds_);
+  if (inside.empty()) return;
+  std::vector<PixelRect> reached;
+  const PixelRect read = inside.Expand(radius_px).Intersect(bounds_);
+  for (int y = read.y_begin; y < read.y_end; ++y) {
+    for (int x = read.x_begin; x < read.x_end; ++x) {
+      const bool is_stale = states_[static_cast<size_t>(bounds_.IndexOf(x, y))] == kStale;
+      if (is_stale) reached.push_back(PixelRect::FromSize(x, y, 1, 1).Expand(radius_px));
+    }
+  }
+  for (const PixelRect& near : reached) {
+    const PixelRect part = near.Intersect(inside);
+    for (int y = part.y_begin; y < part.y_end; ++y) {
+      uint8_t* const row = states_.data() + bounds_.IndexOf(part.x_begin, y);
+      Replace(row, part.width(), kDoubtful, kStale);
+    }
+  }
+  for (int y = inside.y_begin; y < inside.y_end; ++y) {
+    uint8_t* const row = states_.data() + bounds_.IndexOf(inside.x_begin, y);
+    Replace(row, inside.width(), kDoubtful, kFresh);
   }
 }
 
 void StaleMask::Clear(const PixelRect& rect) {
-  for (int y = rect.y_begin; y < rect.y_end; ++y) {
-    std::fill_n(is_stale_.begin() + bounds_.IndexOf(rect.x_begin, y), rect.width(), 0);
+  const PixelRect inside = rect.Intersect(bounds_);
+  if (inside.empty()) return;
+  for (int y = inside.y_begin; y < inside.y_end; ++y) {
+    std::fill_n(states_.begin() + bounds_.IndexOf(inside.x_begin, y), inside.width(), kFresh);
   }
 }
 
 PixelRect StaleMask::Trim(const PixelRect& rect) const {
   PixelRect found{rect.x_end, rect.y_end, rect.x_begin, rect.y_begin};
   for (int y = rect.y_begin; y < rect.y_end; ++y) {
-    const uint8_t* const row = is_stale_.data() + bounds_.IndexOf(rect.x_begin, y);
+    const uint8_t* const row = states_.data() + bounds_.IndexOf(rect.x_begin, y);
     const auto width = static_cast<size_t>(rect.width());
-    const void* const first = std::memchr(row, 1, width);
+    const void* const first = std::memchr(row, kStale, width);
     if (first == nullptr) continue;
-    const void* const last = memrchr(row, 1, width);
+    const void* const last = memrchr(row, kStale, width);
     found.y_begin = std::min(found.y_begin, y);
     found.y_end = y + 1;
     found.x_begin = std::min(

@@ -95,5 +95,15 @@ TEST_F(RegressionPass, BitsDoNotDependOnTheWindow) {
   }
 }
 
+// The lattice's columns and rows are 2, 7, 12, ...: 7 and 12 lie in the first rectangle, none in
+// the second, and the third and fourth are cut by the frame.
+TEST_F(RegressionPass, PredictsFromCentres) {
+  const RegressionSettings constants = Constants(5);
+  EXPECT_EQ(PredictedFrom({5, 6, 14, 16}, kFrame, constants), (PixelRect{0, 0, 20, 20}));
+  EXPECT_EQ(PredictedFrom({8, 8, 10, 10}, kFrame, constants), (PixelRect{5, 5, 13, 13}));
+  EXPECT_EQ(PredictedFrom({66, 60, 90, 70}, kFrame, constants).area(), 0);
+  EXPECT_EQ(PredictedFrom({66, 57, 90, 70}, kFrame, constants), (PixelRect{60, 50, 75, 65}));
+}
+
 }  // namespace
 }  // namespace tessera

@@ -84,5 +84,32 @@ TEST(StaleMask, PartsFollowWhatIsStale) {
   EXPECT_EQ(area, first.area() + second.area());
 }
 
+TEST(StaleMask, DoubtsBecomeStaleBesideWhatIs) {
+  StaleMask mask(kBounds);
+  mask.Clear(kBounds);
+  // To the left of x = 20 everything is settled; what is stale lies right of it.
+  mask.Doubt({0, 10, 40, 30});
+  mask.Mark({22, 12, 23, 13});
+  const PixelRect settled{-5, 3, 20, 83};
+  std::vector<PixelRect> parts;
+  mask.Take(settled, 1000, 0, &parts);
+  EXPECT_TRUE(parts.empty());
+  mask.Settle(settled, 4);
+  mask.Take(settled, 1000, 0, &parts);
+  ASSERT_EQ(parts.size(), 1u);
+  EXPECT_EQ(parts[0], (PixelRect{18, 10, 20, 17}));
+  // What else was doubtful there is fresh now, whatever becomes stale beside it; the rest is not.
+  parts.clear();
+  mask.Mark({20, 20, 21, 21});
+  mask.Settle({-5, 3, 20, 83}, 4);
+  mask.Take(settled, 1000, 0, &parts);
+  EXPECT_TRUE(parts.empty());
+  mask.Settle(kBounds, 1);
+  mask.Take(kBounds, 1000, 0, &parts);
+  const std::vector<int> counts = Counts(parts);
+  EXPECT_EQ(counts[static_cast<size_t>(kBounds.IndexOf(21, 19))], 1);
+  EXPECT_EQ(counts[static_cast<size_t>(kBounds.IndexOf(23, 14))], 0);
+}
+
 }  // namespace
 }  // namespace tessera
