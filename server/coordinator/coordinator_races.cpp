@@ -68,11 +68,14 @@ bool Coordinator::MayRace(const Lease& lease) const {
          static_cast<double>(held_ms) >= slow_ms + kWaitFactor * wait_ms_;
 }
 
-// The first of `leases` that the worker may race; it is then none of them any more.
+// The first of `leases` that the worker may race; it is then none of them any more. Two hosts that
+// disagree on an audited unit would race each other for ever, and keep it from a third one.
 void Coordinator::Race(Worker& worker, std::vector<LeaseId>* leases) {
   const auto found = std::ranges::find_if(*leases, [&](LeaseId id) {
     const Lease& lease = leases_.at(id);
-    return lease.session != worker.session && CanServe(worker, *jobs_.at(lease.job));
+    const Job& job = *jobs_.at(lease.job);
+    return lease.session != worker.session && CanServe(worker, job) &&
+           !job.HasHeard(worker.hello.host(), lease.unit);
   });
   if (found == leases->end()) return;
   const Lease& slow = leases_.at(*found);

@@ -121,6 +121,12 @@ struct Coordinator::Job {
     const std::string pinned = PinnedArithmetic();
     return pinned.empty() || pinned == arithmetic;
   }
+  // Whether the host has rendered the audited unit: what it would say again does not count.
+  bool HasHeard(const std::string& host, const Unit& unit) const {
+    const auto audit = audits.find(unit);
+    return audit != audits.end() &&
+           std::ranges::find(audit->second, host, &Testimony::host) != audit->second.end();
+  }
   bool LacksMemory(const v1::Hello& hello) const {
     return hello.memory_bytes() <= memory_short_bytes;
   }

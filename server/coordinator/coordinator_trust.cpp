@@ -123,8 +123,7 @@ std::optional<Unit> Coordinator::AuditFor(Job& job, const Worker& worker) {
   int scanned = 0;
   for (auto unit = job.audits_waiting.begin();
        unit != job.audits_waiting.end() && scanned < kAuditScanMax; ++unit, ++scanned) {
-    const std::vector<Testimony>& heard = job.audits.at(*unit);
-    if (std::ranges::find(heard, worker.hello.host(), &Testimony::host) != heard.end()) continue;
+    if (job.HasHeard(worker.hello.host(), *unit)) continue;
     const Unit found = *unit;
     job.audits_waiting.erase(unit);
     return found;

@@ -197,6 +197,38 @@ TEST(CoordinatorTrust, AuditsWaitForAnotherHostAndSaySo) {
   EXPECT_EQ(farm.Job(1).digest(), ExpectedDigest(SmallSettings(), 16));
 }
 
+// Both have said what they have to say: raced by each other, the unit would never reach a third.
+TEST(CoordinatorTrust, HostsThatDisagreeDoNotRaceEachOther) {
+  SimulatedFarm farm(AuditConfig(1));
+  v1::JobSettings settings = SmallSettings(1);
+  settings.set_width(8);
+  settings.set_height(8);
+  farm.Create(settings);
+  const SessionId liar = farm.Connect(1), honest = farm.Connect(1);
+  const auto wait = [&] {
+    farm.now_ms += 600;
+    for (SessionId session = 1; session < farm.next_session; ++session) {
+      farm.Heartbeat(session, farm.now_ms);
+    }
+    farm.Post(TickEvent{});
+  };
+  DeltaEvent lie = farm.Render(liar, farm.workers[liar].leases.front());
+  farm.workers[liar].leases.clear();
+  lie.tile = SyntheticTile(99, lie.tile.window(), lie.tile.range(), lie.tile.feature_end());
+  farm.Post(std::move(lie));
+  ASSERT_EQ(farm.workers[honest].leases.size(), 1u) << "the audit";
+  wait();
+  EXPECT_EQ(farm.workers[liar].leases.size(), 0u) << "the honest one is slow, the liar idle";
+  farm.RenderOne(honest);
+  const SessionId third = farm.Connect(1);
+  ASSERT_EQ(farm.workers[third].leases.size(), 1u);
+  wait();
+  EXPECT_EQ(farm.workers[liar].leases.size() + farm.workers[honest].leases.size(), 0u);
+  farm.RenderOne(third);
+  EXPECT_EQ(farm.Job(1).digest(), ExpectedDigest(settings, 1));
+  EXPECT_TRUE(farm.workers[liar].closed.has_value());
+}
+
 // What a server would write down of a job, and another one finds.
 RestoreJobEvent StoredJob(const SimulatedFarm& farm, JobId job) {
   RestoreJobEvent event;
