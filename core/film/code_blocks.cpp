@@ -4,6 +4,7 @@
 #include <array>
 #include <bit>
 #include <cstring>
+#include <utility>
 
 namespace tessera {
 namespace {
@@ -114,20 +115,34 @@ void AppendBlock(std::span<const uint32_t> codes, std::string* bytes) {
   *bytes += high_parts;
 }
 
-// All lanes of a whole block.
-void UnpackLanes(const char* packed, int width, uint32_t* codes) {
-  const uint32_t mask = MaskOf(width);
+// All lanes of a whole block. A function for each width, whose shifts are then constants.
+template <int kWidth>
+void UnpackLanes(const char* packed, uint32_t* codes) {
+  constexpr uint32_t kMask = kWidth == kCodeBits ? ~0u : (1u << kWidth) - 1;
+#pragma GCC unroll 32
   for (int i = 0; i < static_cast<int>(kLaneCodes); ++i) {
-    const int bit = i * width;
+    const int bit = i * kWidth;
     const int word = bit / kCodeBits, shift = bit % kCodeBits;
-    // Where a code ends within its word, the mask drops what comes from the next one.
-    const int next = std::min(word + 1, width - 1);
-    const Lanes low = Load(packed + static_cast<size_t>(word) * sizeof(Lanes)) >> shift;
-    const Lanes high = Load(packed + static_cast<size_t>(next) * sizeof(Lanes)) << 1
-                       << (kCodeBits - 1 - shift);
-    Store((low | high) & mask, codes + static_cast<size_t>(i) * kLanesMax);
+    Lanes lanes = Load(packed + static_cast<size_t>(word) * sizeof(Lanes)) >> shift;
+    if (shift + kWidth > kCodeBits) {
+      lanes |= Load(packed + static_cast<size_t>(word + 1) * sizeof(Lanes)) << (kCodeBits - shift);
+    }
+    Store(lanes & kMask, codes + static_cast<size_t>(i) * kLanesMax);
   }
 }
+template <>
+void UnpackLanes<0>(const char* /*packed*/, uint32_t* codes) {
+  std::fill_n(codes, kBlockCodes, 0u);
+}
+
+using UnpackFunction = void (*)(const char* packed, uint32_t* codes);
+template <int... kWidths>
+constexpr std::array<UnpackFunction, sizeof...(kWidths)> UnpackFunctions(
+    std::integer_sequence<int, kWidths...>) {
+  return {UnpackLanes<kWidths>...};
+}
+constexpr auto kUnpackLanes =
+    UnpackFunctions(std::make_integer_sequence<int, kCodeBits + 1>());
 
 // The lanes of a plane's last block, which may be fewer.
 void UnpackWords(const char* packed, int width, size_t num_lanes, std::span<uint32_t> codes) {
@@ -148,20 +163,35 @@ void UnpackWords(const char* packed, int width, size_t num_lanes, std::span<uint
   }
 }
 
-// Adds the bits above `width` of those codes that have any. Returns whether they lie in the block.
+// Adds the bits above `width` of those codes that have any. Returns whether they lie in the block:
+// a position in a whole one always does.
 template <int kHighBytes>
 bool AddHighParts(const char* positions, size_t num_exceptions, int width,
                   std::span<uint32_t> codes) {
-  const char* high_part = positions + num_exceptions;
-  bool ok = true;
-  for (size_t i = 0; i < num_exceptions; ++i, high_part += kHighBytes) {
-    const size_t position = static_cast<uint8_t>(positions[i]);
-    uint32_t high = 0;
-    std::memcpy(&high, high_part, kHighBytes);
-    ok &= position < codes.size();
-    codes[std::min(position, codes.size() - 1)] |= high << width;
+  const char* const high_parts = positions + num_exceptions;
+  if (codes.size() < kBlockCodes) {
+    for (size_t i = 0; i < num_exceptions; ++i) {
+      if (static_cast<uint8_t>(positions[i]) >= codes.size()) return false;
+    }
   }
-  return ok;
+  const auto add = [&](size_t i, uint32_t high) {
+    codes[static_cast<uint8_t>(positions[i])] |= high << width;
+  };
+  // Four bytes are quicker to load than three; the last part may be the end of memory.
+  constexpr uint32_t kMask = ~0u >> (kCodeBits - 8 * kHighBytes);
+  constexpr size_t kNumWithin = (sizeof(uint32_t) + kHighBytes - 1) / kHighBytes;
+  size_t i = 0;
+  for (; i + kNumWithin <= num_exceptions; ++i) {
+    uint32_t high;
+    std::memcpy(&high, high_parts + i * kHighBytes, sizeof(high));
+    add(i, high & kMask);
+  }
+  for (; i < num_exceptions; ++i) {
+    uint32_t high = 0;
+    std::memcpy(&high, high_parts + i * kHighBytes, kHighBytes);
+    add(i, high);
+  }
+  return true;
 }
 
 bool ReadBlock(std::string_view* bytes, std::span<uint32_t> codes) {
@@ -177,10 +207,10 @@ bool ReadBlock(std::string_view* bytes, std::span<uint32_t> codes) {
   const size_t packed_bytes = coding.packed_bytes(num_lanes);
   bytes->remove_prefix(2);
   if (bytes->size() < packed_bytes + coding.exception_bytes()) return false;
-  if (coding.width == 0) {
+  if (codes.size() == kBlockCodes) {
+    kUnpackLanes[static_cast<size_t>(coding.width)](bytes->data(), codes.data());
+  } else if (coding.width == 0) {
     std::ranges::fill(codes, 0);
-  } else if (codes.size() == kBlockCodes) {
-    UnpackLanes(bytes->data(), coding.width, codes.data());
   } else {
     UnpackWords(bytes->data(), coding.width, num_lanes, codes);
   }
