@@ -4,36 +4,12 @@
 #include <bit>
 #include <limits>
 
-#include "core/film/node_rounding.h"
+#include "core/film/word_coders.h"
 
 namespace tessera {
 namespace {
 
-// Neighbouring numbers have neighbouring keys, whatever their sign.
-uint32_t KeyOf(uint32_t word, bool is_float) { return is_float ? std::rotl(word, 1) : word; }
-uint32_t WordOf(uint32_t key, bool is_float) { return is_float ? std::rotr(key, 1) : key; }
-
-// All bits or none. Chosen by masks, values are computed without branches, all pixels at once.
 uint32_t MaskOf(bool condition) { return 0u - static_cast<uint32_t>(condition); }
-uint32_t Choose(uint32_t mask, uint32_t if_all, uint32_t if_none) {
-  return (if_all & mask) | (if_none & ~mask);
-}
-
-// Signed differences modulo 2^32 as small unsigned numbers: 0, -1, 1, -2, ...
-uint32_t ZigZag(uint32_t difference) { return (difference << 1) ^ (0u - (difference >> 31)); }
-uint32_t UnZigZag(uint32_t code) { return (code >> 1) ^ (0u - (code & 1)); }
-
-// kNone keeps 0 for the key 0 (pixels that nothing was recorded for) and counts from the least
-// other key.
-uint32_t OffsetCode(uint32_t key, uint32_t base) { return key == 0 ? 0 : key - base + 1; }
-
-// `from`, changed in the ratio of `guide` to `guide_from`; `from` itself where that is no number.
-uint32_t Scale(uint32_t from, uint32_t guide, uint32_t guide_from) {
-  const float ratio = std::bit_cast<float>(guide) / std::bit_cast<float>(guide_from);
-  const uint32_t scaled = std::bit_cast<uint32_t>(std::bit_cast<float>(from) * ratio);
-  constexpr uint32_t kInfinity = 0x7f800000;
-  return Choose(MaskOf((scaled & ~kFloatSignBit) < kInfinity), scaled, from);
-}
 
 // Calls visit(pixel, above) for every pixel but the first, row by row; `above` of the first row is
 // the first pixel. A row's pixels do not depend on each other.
@@ -103,99 +79,15 @@ void VisitPredicted(const PlaneContext& context, PlanePredictor predictor, const
   }
 }
 
-// Whether the first pixel is told from `base`.
-bool HasBase(PlanePredictor predictor) {
-  switch (predictor) {
-    case PlanePredictor::kOtherHalf:
-    case PlanePredictor::kOtherHalfRatio:
-    case PlanePredictor::kOtherHalfGrid:
-    case PlanePredictor::kOtherHalfRatioGrid:
-      return false;
-    default:
-      return true;
-  }
-}
-
-// Codes differences of keys. What lies below `shift` goes to the top of the code, where it is 0
-// for nearly all pixels; kHasLow: whether it may be something else.
-template <bool kHasLow>
-class KeyCoder {
- public:
-  KeyCoder(bool is_float, int shift) : is_float_(is_float), shift_(shift) {}
-
-  uint32_t UnitsOf(size_t /*pixel*/, uint32_t word) const {
-    return KeyOf(word, is_float_) >> shift_;
-  }
-  uint32_t CodeOf(size_t /*pixel*/, uint32_t word, uint32_t predicted) const {
-    const uint32_t key = KeyOf(word, is_float_);
-    const uint32_t difference = ((key >> shift_) - predicted) << shift_;
-    // Zigzag in the 32 - shift bits of a shifted key.
-    const uint32_t sign = 0u - (difference >> 31);
-    const uint32_t zigzag = ((difference << 1) ^ (sign << shift_)) >> shift_;
-    return zigzag | (key << (31 - shift_)) << 1;
-  }
-  uint32_t WordOf(size_t /*pixel*/, uint32_t code, uint32_t predicted) const {
-    if constexpr (!kHasLow) {
-      return tessera::WordOf((predicted + UnZigZag(code)) << shift_, is_float_);
-    }
-    const uint32_t low = (code >> (31 - shift_)) >> 1;
-    const uint32_t high = predicted + UnZigZag(code & (~0u >> shift_));
-    return tessera::WordOf(high << shift_ | low, is_float_);
-  }
-
- private:
-  bool is_float_;
-  int shift_;
-};
-
-// Codes differences of means in units of what they were rounded to, as integers; of keys where the
-// unit is finer than the plane's finest.
-class GridCoder {
- public:
-  GridCoder(const PlaneContext& context, uint32_t finest_exponent)
-      : units_(context.units.data()), finest_exponent_(finest_exponent) {}
-
-  // Units to nearest, 0 for what is too large and for NaN; or the key.
-  uint32_t UnitsOf(size_t pixel, uint32_t word) const {
-    const uint32_t exponent = ExponentAt(pixel);
-    const uint32_t half = 0x3f000000 | (word & kFloatSignBit);
-    const uint32_t units = std::bit_cast<uint32_t>(
-        std::bit_cast<float>(word) * std::bit_cast<float>((254 - exponent) << kFractionBits));
-    const float near = std::bit_cast<float>(units & MaskOf((units & ~kFloatSignBit) < kUnitsMax));
-    const auto integer =
-        static_cast<uint32_t>(static_cast<int32_t>(near + std::bit_cast<float>(half)));
-    return Choose(MaskOf(exponent >= finest_exponent_), integer, KeyOf(word, true));
-  }
-  uint32_t CodeOf(size_t pixel, uint32_t word, uint32_t predicted) const {
-    return ZigZag(UnitsOf(pixel, word) - predicted);
-  }
-  uint32_t WordOf(size_t pixel, uint32_t code, uint32_t predicted) const {
-    return WordOf(pixel, predicted + UnZigZag(code));
-  }
-  uint32_t WordOf(size_t pixel, uint32_t units) const {
-    const uint32_t exponent = ExponentAt(pixel);
-    const float unit = std::bit_cast<float>(exponent << kFractionBits);
-    const float mean = static_cast<float>(static_cast<int32_t>(units)) * unit;
-    return Choose(MaskOf(exponent >= finest_exponent_), std::bit_cast<uint32_t>(mean),
-                  tessera::WordOf(units, true));
-  }
-  // The biased exponent of a pixel's unit; 0 for none.
-  uint32_t ExponentAt(size_t pixel) const { return units_[pixel]; }
-
- private:
-  static constexpr uint32_t kUnitsMax = std::bit_cast<uint32_t>(0x1p30f);
-
-  const uint32_t* units_;
-  uint32_t finest_exponent_;
-};
-
 // The least exponent of units whose means are all multiples of them, and not too large.
 uint8_t FinestExponentOf(const PlaneContext& context, std::span<const uint32_t> words) {
-  const GridCoder coder(context, kFinestExponentMin);
+  const GridCoder coder(kFinestExponentMin);
   uint32_t finest = kFinestExponentMin;
   for (size_t i = 0; i < words.size(); ++i) {
-    const uint32_t is_lost = MaskOf(coder.WordOf(i, coder.UnitsOf(i, words[i])) != words[i]);
-    finest = std::max(finest, (coder.ExponentAt(i) + 1) & is_lost);
+    const uint32_t exponent = context.units[i];
+    const uint32_t is_lost =
+        MaskOf(coder.WordOf(exponent, coder.UnitsOf(exponent, words[i])) != words[i]);
+    finest = std::max(finest, (exponent + 1) & is_lost);
   }
   return static_cast<uint8_t>(finest);
 }
@@ -204,25 +96,37 @@ template <typename Coder>
 void CodePredicted(const Coder& coder, const PlaneContext& context, const PlaneCoding& coding,
                    std::span<const uint32_t> words, std::span<uint32_t> codes) {
   const uint32_t* const in = words.data();
+  const uint32_t* const units = context.units.data();
   uint32_t* __restrict const out = codes.data();
-  if (HasBase(coding.predictor)) out[0] = coder.CodeOf(0, in[0], coding.base);
+  const auto unit_at = [=](size_t i) { return Coder::kReadsUnits ? units[i] : 0; };
+  if (HasBase(coding.predictor)) out[0] = coder.CodeOf(unit_at(0), in[0], coding.base);
   VisitPredicted(context, coding.predictor, in, words.size(),
                  [=](size_t i, uint32_t predicted) {
-                   out[i] = coder.CodeOf(i, in[i], coder.UnitsOf(i, predicted));
+                   const uint32_t unit = unit_at(i);
+                   out[i] = coder.CodeOf(unit, in[i], coder.UnitsOf(unit, predicted));
                  });
+}
+
+template <bool kIsFloat>
+void CodeKeys(const PlaneContext& context, const PlaneCoding& coding,
+              std::span<const uint32_t> words, std::span<uint32_t> codes) {
+  if (coding.predictor == PlanePredictor::kNone) {
+    for (size_t i = 0; i < words.size(); ++i) {
+      codes[i] = OffsetCode(KeyOf<kIsFloat>(words[i]) >> coding.shift, coding.base);
+    }
+  } else {
+    CodePredicted(KeyCoder<kIsFloat, true>(coding.shift), context, coding, words, codes);
+  }
 }
 
 void Code(const PlaneContext& context, const PlaneCoding& coding, std::span<const uint32_t> words,
           std::span<uint32_t> codes) {
-  if (coding.predictor == PlanePredictor::kNone) {
-    const bool is_float = context.is_float;
-    for (size_t i = 0; i < words.size(); ++i) {
-      codes[i] = OffsetCode(KeyOf(words[i], is_float) >> coding.shift, coding.base);
-    }
-  } else if (IsGrid(coding.predictor)) {
-    CodePredicted(GridCoder(context, coding.shift), context, coding, words, codes);
+  if (IsGrid(coding.predictor)) {
+    CodePredicted(GridCoder(coding.shift), context, coding, words, codes);
+  } else if (context.is_float) {
+    CodeKeys<true>(context, coding, words, codes);
   } else {
-    CodePredicted(KeyCoder<true>(context.is_float, coding.shift), context, coding, words, codes);
+    CodeKeys<false>(context, coding, words, codes);
   }
 }
 
@@ -271,11 +175,14 @@ PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> wor
                       std::span<const PlanePredictor> predictors, std::span<uint32_t> codes) {
   PlaneCoding none;
   if (words.empty()) return none;
+  const auto key_of = [&](uint32_t word) {
+    return context.is_float ? KeyOf<true>(word) : word;
+  };
   uint32_t any = 0;
   uint32_t differing = 0;
   uint32_t least = std::numeric_limits<uint32_t>::max();  // non-zero key, minus 1 to wrap zero
   for (const uint32_t word : words) {
-    const uint32_t key = KeyOf(word, context.is_float);
+    const uint32_t key = key_of(word);
     any |= key;
     differing |= word ^ words[0];
     least = std::min(least, key - 1);
@@ -303,10 +210,10 @@ PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> wor
     coding.predictor = predictor;
     if (IsGrid(predictor)) {
       coding.shift = std::max(finest_exponent, kFinestExponentMin);
-      coding.base = GridCoder(context, coding.shift).UnitsOf(0, words[0]);
+      coding.base = GridCoder(coding.shift).UnitsOf(context.units[0], words[0]);
     } else if (predictor != PlanePredictor::kNone) {
       coding.shift = key_shift;
-      coding.base = KeyOf(words[0], context.is_float) >> key_shift;
+      coding.base = key_of(words[0]) >> key_shift;
     }
     if (!HasBase(predictor)) coding.base = 0;
     Code(context, coding, words, codes);
@@ -318,49 +225,6 @@ PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> wor
   if (best != coding) Code(context, best, words, codes);
   best.width_bytes = WidthBytes(codes);
   return best;
-}
-
-namespace {
-
-template <typename Coder>
-void RestorePredicted(const Coder& coder, const PlaneContext& context, const PlaneCoding& coding,
-                      std::span<const uint32_t> codes, std::span<uint32_t> words) {
-  const uint32_t* const in = codes.data();
-  uint32_t* __restrict const out = words.data();
-  if (HasBase(coding.predictor)) out[0] = coder.WordOf(0, in[0], coding.base);
-  VisitPredicted(context, coding.predictor, out, words.size(),
-                 [=](size_t i, uint32_t predicted) {
-                   out[i] = coder.WordOf(i, in[i], coder.UnitsOf(i, predicted));
-                 });
-}
-
-}  // namespace
-
-void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
-                  std::span<const uint32_t> codes, std::span<uint32_t> words) {
-  if (words.empty()) return;
-  if (IsGrid(coding.predictor)) {
-    RestorePredicted(GridCoder(context, coding.shift), context, coding, codes, words);
-    return;
-  }
-  if (coding.predictor != PlanePredictor::kNone) {
-    if (8 * coding.width_bytes + coding.shift <= 32) {
-      RestorePredicted(KeyCoder<false>(context.is_float, coding.shift), context, coding, codes,
-                       words);
-    } else {
-      RestorePredicted(KeyCoder<true>(context.is_float, coding.shift), context, coding, codes,
-                       words);
-    }
-    return;
-  }
-  const auto word_of = [&](uint32_t key) { return WordOf(key << coding.shift, context.is_float); };
-  if (coding.width_bytes == 0) {
-    std::ranges::fill(words, word_of(coding.base));
-    return;
-  }
-  for (size_t i = 0; i < words.size(); ++i) {
-    words[i] = word_of(codes[i] == 0 ? 0 : codes[i] + coding.base - 1);
-  }
 }
 
 void SplitByte(std::span<const uint32_t> codes, int byte_index, char* bytes) {
