@@ -170,22 +170,6 @@ bool ReadCodings(const TileStatistics& tile, ByteReader* reader, PlaneCodings* c
   return true;
 }
 
-// Reads the blocks of one quantity into codes.
-absl::Status ReadBlocksOf(const Quantity& quantity, const PlaneCodings& codings, ByteReader* reader,
-                          QuantityPlanes* planes) {
-  for (int channel = 0; channel < quantity.num_channels; ++channel) {
-    for (int half = 0; half < kNumHalves; ++half) {
-      std::vector<uint32_t>& codes = planes->codes[half][channel];
-      if (codings[half][quantity.first_plane + channel].width_bytes == 0) {
-        std::ranges::fill(codes, 0);
-      } else if (!reader->ReadCodes(codes)) {
-        return Malformed("bad blocks of codes");
-      }
-    }
-  }
-  return absl::OkStatus();
-}
-
 // Reads the streams of one quantity into codes.
 absl::Status ReadStreams(const Quantity& quantity, DeltaEncoding encoding,
                          const PlaneCodings& codings, ByteReader* reader, QuantityPlanes* planes) {
@@ -246,27 +230,46 @@ std::span<const PlanePredictor> PredictorsOf(DeltaEncoding encoding) {
   return {};
 }
 
-// Comparisons of bits, which a vector unit makes for all lanes: greater numbers have greater bits,
-// and infinity and NaN the greatest.
+// The greatest of map(value's bits), eight at a time; four sums of their own, as one would wait for
+// itself.
+template <typename Value, typename Map>
+uint32_t GreatestOf(std::span<Value> values, const Map& map) {
+  static_assert(sizeof(Value) == sizeof(uint32_t));
+  constexpr size_t kNumVectors = 4;
+  UInt8 greatest[kNumVectors] = {};
+  const auto add = [&](const UInt8& bits, UInt8* so_far) {
+    const UInt8 mapped = map(bits);
+    *so_far = mapped > *so_far ? mapped : *so_far;
+  };
+  size_t i = 0;
+  for (; i + kNumVectors * kFloat8Lanes <= values.size(); i += kNumVectors * kFloat8Lanes) {
+    for (size_t vector = 0; vector < kNumVectors; ++vector) {
+      UInt8 bits;
+      std::memcpy(&bits, values.data() + i + vector * kFloat8Lanes, sizeof(bits));
+      add(bits, &greatest[vector]);
+    }
+  }
+  for (; i < values.size(); ++i) add(UInt8{} + std::bit_cast<uint32_t>(values[i]), &greatest[0]);
+  uint32_t all = 0;
+  for (const UInt8& of_vector : greatest) {
+    for (int lane = 0; lane < kFloat8Lanes; ++lane) all = std::max(all, of_vector[lane]);
+  }
+  return all;
+}
+
+// Comparisons of bits: greater numbers have greater bits, and infinity and NaN the greatest.
 uint32_t GreatestOf(std::span<const uint32_t> counts) {
-  uint32_t greatest = 0;
-  for (const uint32_t count : counts) greatest = std::max(greatest, count);
-  return greatest;
+  return GreatestOf(counts, [](const UInt8& bits) { return bits; });
 }
 bool AreWithin(float magnitude_max, std::span<const float> values) {
-  uint32_t greatest = 0;
-  for (const float value : values) {
-    greatest = std::max(greatest, std::bit_cast<uint32_t>(value) & ~kFloatSignBit);
-  }
-  return greatest <= std::bit_cast<uint32_t>(magnitude_max);
+  return GreatestOf(values, [](const UInt8& bits) { return bits & ~kFloatSignBit; }) <=
+         std::bit_cast<uint32_t>(magnitude_max);
 }
 bool AreBetweenZeroAnd(float max, std::span<const float> values) {
-  uint32_t greatest = 0;
-  for (const float value : values) {
-    // -0 becomes 0; every other negative number has the sign bit.
-    greatest = std::max(greatest, std::bit_cast<uint32_t>(value + 0.0f));
-  }
-  return greatest <= std::bit_cast<uint32_t>(max);
+  // -0 becomes 0; every other negative number has the sign bit.
+  return GreatestOf(values, [](const UInt8& bits) {
+           return std::bit_cast<UInt8>(std::bit_cast<Float8>(bits) + 0.0f);
+         }) <= std::bit_cast<uint32_t>(max);
 }
 bool HasDepthWithoutHits(const TileStatistics& tile, int half) {
   const uint32_t* const hits = tile.Counts(half, kHits).data();
@@ -281,31 +284,63 @@ bool HasDepthWithoutHits(const TileStatistics& tile, int half) {
   return any != 0;
 }
 
-// A sample has no deviation.
-void ClearMsds(const Quantity& quantity, TileStatistics* tile) {
-  for (int half = 0; half < kNumHalves; ++half) {
-    for (int channel = 0; channel < quantity.num_channels; ++channel) {
-      std::ranges::fill(tile->Floats(half, quantity.first_plane + channel), 0.0f);
-    }
+// Whether a plane's values are what so many samples can have.
+absl::Status CheckPlane(const TileStatistics& tile, int half, int plane) {
+  const auto feature_count = static_cast<uint32_t>(tile.FeatureHalfCount(half));
+  const auto count = static_cast<uint32_t>(tile.HalfCount(half));
+  if (plane >= kFirstCountPlane) {
+    const int count_plane = plane - kFirstCountPlane;
+    if (count_plane == kMaterialId) return absl::OkStatus();
+    const uint32_t max = count_plane == kLaterHits ? count - feature_count : feature_count;
+    if (GreatestOf(tile.Counts(half, count_plane)) <= max) return absl::OkStatus();
+    return Malformed("hits or votes do not fit the samples");
   }
+  const uint32_t plane_count = plane < kNumRadiancePlanes ? count : feature_count;
+  const bool ok = IsMsdPlane(plane) ? AreBetweenZeroAnd(plane_count <= 1 ? 0 : kMsdMax,
+                                                        tile.Floats(half, plane))
+                                    : AreWithin(plane_count == 0 ? 0 : kMeanMax,
+                                                tile.Floats(half, plane));
+  return ok ? absl::OkStatus() : Malformed(absl::StrCat("float plane ", plane, " is out of range"));
 }
 
-// Restores the planes of one quantity from their codes into `tile`.
-absl::Status RestoreQuantity(const Quantity& quantity, const PlaneCodings& codings,
-                             QuantityPlanes* planes, TileStatistics* tile) {
+// What planes together, or all of them, cannot be.
+absl::Status CheckWhole(const TileStatistics& tile) {
+  if (tile.non_finite < 0 || tile.non_finite > tile.num_pixels() * tile.range().size()) {
+    return Malformed("more non-finite samples than samples");
+  }
+  for (int half = 0; half < kNumHalves && tile.has_features(); ++half) {
+    if (HasDepthWithoutHits(tile, half)) return Malformed("hits do not fit the depths");
+  }
+  return absl::OkStatus();
+}
+
+// Reads one quantity into the tile's planes. Each is checked while it is in the cache.
+absl::Status ReadQuantity(const Quantity& quantity, DeltaEncoding encoding,
+                          const PlaneCodings& codings, ByteReader* reader, QuantityPlanes* planes,
+                          TileStatistics* tile) {
+  const bool has_blocks = encoding == DeltaEncoding::kPackedBlocks;
+  if (!has_blocks) {
+    absl::Status status = ReadStreams(quantity, encoding, codings, reader, planes);
+    if (!status.ok()) return status;
+  }
+  planes->Bind(quantity, tile);
   for (int channel = 0; channel < quantity.num_channels; ++channel) {
     const int plane = quantity.first_plane + channel;
     for (int half = 0; half < kNumHalves; ++half) {
       const PlaneContext context = planes->ContextOf(quantity, half, channel, *tile);
       const PlaneCoding& coding = codings[half][plane];
       if (!context.Allows(coding.predictor)) return Malformed("a predictor has nothing to read");
-      RestorePlane(context, coding, planes->codes[half][channel], planes->words[half][channel]);
+      // Blocks come in this order: one plane's codes are needed at a time.
+      std::vector<uint32_t>& codes =
+          has_blocks ? planes->codes[0][0] : planes->codes[half][channel];
+      if (has_blocks && coding.width_bytes == 0) {
+        std::ranges::fill(codes, 0);
+      } else if (has_blocks && !reader->ReadCodes(codes)) {
+        return Malformed("bad blocks of codes");
+      }
+      RestorePlane(context, coding, codes, planes->words[half][channel]);
+      if (absl::Status status = CheckPlane(*tile, half, plane); !status.ok()) return status;
     }
-  }
-  if (HasPairUnits(quantity, *tile)) {
-    ClearMsds(quantity, tile);
-  } else {
-    planes->Store(quantity, tile);
   }
   if (quantity.is_msd) planes->KeepUnits(quantity, *tile);
   return absl::OkStatus();
@@ -314,32 +349,13 @@ absl::Status RestoreQuantity(const Quantity& quantity, const PlaneCodings& codin
 }  // namespace
 
 absl::Status ValidateStatistics(const TileStatistics& tile) {
-  if (tile.non_finite < 0 || tile.non_finite > tile.num_pixels() * tile.range().size()) {
-    return Malformed("more non-finite samples than samples");
-  }
   for (int half = 0; half < kNumHalves; ++half) {
-    const uint32_t feature_count = static_cast<uint32_t>(tile.FeatureHalfCount(half));
-    const uint32_t later_count = static_cast<uint32_t>(tile.HalfCount(half)) - feature_count;
-    for (int plane = 0; plane < tile.num_float_planes(); ++plane) {
-      const uint32_t count =
-          plane < kNumRadiancePlanes ? feature_count + later_count : feature_count;
-      const bool ok = IsMsdPlane(plane) ? AreBetweenZeroAnd(count <= 1 ? 0 : kMsdMax,
-                                                            tile.Floats(half, plane))
-                                        : AreWithin(count == 0 ? 0 : kMeanMax,
-                                                    tile.Floats(half, plane));
-      if (!ok) return Malformed(absl::StrCat("float plane ", plane, " is out of range"));
-    }
-    if (GreatestOf(tile.Counts(half, kLaterHits)) > later_count) {
-      return Malformed("hits do not fit the samples");
-    }
-    if (!tile.has_features()) continue;
-    if (GreatestOf(tile.Counts(half, kHits)) > feature_count ||
-        GreatestOf(tile.Counts(half, kIdVotes)) > feature_count ||
-        HasDepthWithoutHits(tile, half)) {
-      return Malformed("hits or votes do not fit the samples");
+    for (int plane = 0; plane < kNumPlanes; ++plane) {
+      if (!Has(tile, plane)) continue;
+      if (absl::Status status = CheckPlane(tile, half, plane); !status.ok()) return status;
     }
   }
-  return absl::OkStatus();
+  return CheckWhole(tile);
 }
 
 EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding) {
@@ -429,14 +445,12 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
   const auto known_encoding = static_cast<DeltaEncoding>(encoding);
   for (const Quantity& quantity : kQuantities) {
     if (!Has(tile, quantity.first_plane)) continue;
-    absl::Status status = known_encoding == DeltaEncoding::kPackedBlocks
-                              ? ReadBlocksOf(quantity, codings, &reader, &planes)
-                              : ReadStreams(quantity, known_encoding, codings, &reader, &planes);
-    if (status.ok()) status = RestoreQuantity(quantity, codings, &planes, &tile);
+    absl::Status status =
+        ReadQuantity(quantity, known_encoding, codings, &reader, &planes, &tile);
     if (!status.ok()) return status;
   }
   if (!reader.empty()) return Malformed("too many bytes");
-  if (absl::Status status = ValidateStatistics(tile); !status.ok()) return status;
+  if (absl::Status status = CheckWhole(tile); !status.ok()) return status;
   return tile;
 }
 

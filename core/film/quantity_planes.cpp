@@ -18,6 +18,13 @@ uint32_t MultipleOf(uint32_t word) {
   return exponent + num_zeros <= kFractionBits ? 0 : exponent + num_zeros - kFractionBits;
 }
 
+// A word of a plane that may be floats.
+uint32_t WordAt(const uint32_t* from) {
+  uint32_t word;
+  std::memcpy(&word, from, sizeof(word));
+  return word;
+}
+
 }  // namespace
 
 NodeRounding RoundingOf(const Quantity& quantity, const TileStatistics& tile) {
@@ -32,7 +39,7 @@ bool HasPairUnits(const Quantity& quantity, const TileStatistics& tile) {
 void QuantityPlanes::Resize(size_t num_pixels) {
   for (int half = 0; half < kNumHalves; ++half) {
     for (int channel = 0; channel < kNumChannelsMax; ++channel) {
-      words[half][channel].resize(num_pixels);
+      copies_[half][channel].resize(num_pixels);
       codes[half][channel].resize(num_pixels);
     }
   }
@@ -46,21 +53,26 @@ void QuantityPlanes::Load(const Quantity& quantity, const TileStatistics& tile) 
       const void* from = plane < kFirstCountPlane
                              ? static_cast<const void*>(tile.Floats(half, plane).data())
                              : tile.Counts(half, plane - kFirstCountPlane).data();
-      std::vector<uint32_t>& to = words[half][channel];
-      std::memcpy(to.data(), from, to.size() * sizeof(uint32_t));
+      words[half][channel] = copies_[half][channel];
+      std::memcpy(words[half][channel].data(), from, words[half][channel].size_bytes());
     }
   }
 }
 
-void QuantityPlanes::Store(const Quantity& quantity, TileStatistics* tile) const {
+void QuantityPlanes::Bind(const Quantity& quantity, TileStatistics* tile) {
+  const bool has_pair_units = HasPairUnits(quantity, *tile);
   for (int half = 0; half < kNumHalves; ++half) {
     for (int channel = 0; channel < quantity.num_channels; ++channel) {
       const int plane = quantity.first_plane + channel;
-      void* to = plane < kFirstCountPlane
-                     ? static_cast<void*>(tile->Floats(half, plane).data())
-                     : tile->Counts(half, plane - kFirstCountPlane).data();
-      const std::vector<uint32_t>& from = words[half][channel];
-      std::memcpy(to, from.data(), from.size() * sizeof(uint32_t));
+      std::span<uint32_t>& of_channel = words[half][channel];
+      if (has_pair_units) {
+        of_channel = copies_[half][channel];
+      } else if (plane < kFirstCountPlane) {
+        const std::span<float> floats = tile->Floats(half, plane);
+        of_channel = {reinterpret_cast<uint32_t*>(floats.data()), floats.size()};
+      } else {
+        of_channel = tile->Counts(half, plane - kFirstCountPlane);
+      }
     }
   }
 }
@@ -84,17 +96,18 @@ void QuantityPlanes::KeepUnits(const Quantity& quantity, const TileStatistics& t
   for (int channel = 0; channel < quantity.num_channels; ++channel) {
     const uint32_t* const a = words[0][channel].data();
     const uint32_t* const b = words[1][channel].data();
-    std::vector<uint32_t>& of_channel = units[channel];
+    uint32_t* const units_of_channel = units[channel].data();
+    const size_t num_pixels = units[channel].size();
     if (rounding.kind == NodeRounding::Kind::kPair) {
-      for (size_t i = 0; i < of_channel.size(); ++i) {
-        of_channel[i] = std::min(a[i], kExponentMask - 1);
+      for (size_t i = 0; i < num_pixels; ++i) {
+        units_of_channel[i] = std::min(WordAt(a + i), kExponentMask - 1);
       }
     } else {
-      for (size_t i = 0; i < of_channel.size(); ++i) {
-        const uint32_t whole = NoiseUnits((a[i] >> kFractionBits) & kExponentMask,
-                                          (b[i] >> kFractionBits) & kExponentMask,
+      for (size_t i = 0; i < num_pixels; ++i) {
+        const uint32_t whole = NoiseUnits((WordAt(a + i) >> kFractionBits) & kExponentMask,
+                                          (WordAt(b + i) >> kFractionBits) & kExponentMask,
                                           rounding);
-        of_channel[i] = std::max<uint32_t>(whole, kFractionBits) - kFractionBits;
+        units_of_channel[i] = std::max<uint32_t>(whole, kFractionBits) - kFractionBits;
       }
     }
   }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "core/film/node_rounding.h"
@@ -41,12 +42,16 @@ inline constexpr Quantity kQuantities[] = {
 inline constexpr int kNumChannelsMax = 3;
 
 // In both halves, as words and as codes.
-struct QuantityPlanes {
+class QuantityPlanes {
+ public:
   void Resize(size_t num_pixels);
 
-  // Words from the tile and back.
+  // Lets `words` be a copy of the tile's planes.
   void Load(const Quantity& quantity, const TileStatistics& tile);
-  void Store(const Quantity& quantity, TileStatistics* tile) const;
+  // Lets `words` be the tile's planes themselves, for RestorePlane to fill and nobody else to read:
+  // floats are among them. Pairs' units are not the tile's: they get memory of their own, and the
+  // msds stay as they are.
+  void Bind(const Quantity& quantity, TileStatistics* tile);
 
   // Puts the units of pairs in the place of half A's msds, which are 0, for the means that follow.
   // The means are the tile's; they are multiples of the units, whatever they are.
@@ -58,9 +63,12 @@ struct QuantityPlanes {
   PlaneContext ContextOf(const Quantity& quantity, int half, int channel,
                          const TileStatistics& tile) const;
 
-  std::vector<uint32_t> words[kNumHalves][kNumChannelsMax];
+  std::span<uint32_t> words[kNumHalves][kNumChannelsMax];
   std::vector<uint32_t> codes[kNumHalves][kNumChannelsMax];
   std::vector<uint32_t> units[kNumChannelsMax];  // see PlaneContext
+
+ private:
+  std::vector<uint32_t> copies_[kNumHalves][kNumChannelsMax];
 };
 
 // What statistics of the quantity were rounded to.
