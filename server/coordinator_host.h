@@ -43,6 +43,13 @@ class CoordinatorHost {
     std::lock_guard lock(mu_);
     return std::forward<Query>(query)(std::as_const(coordinator_));
   }
+  // The same if nobody holds the lock; otherwise a default value.
+  template <typename Query>
+  auto TryRead(Query&& query) const {
+    std::unique_lock lock(mu_, std::try_to_lock);
+    using Result = decltype(query(std::as_const(coordinator_)));
+    return lock ? std::forward<Query>(query)(std::as_const(coordinator_)) : Result{};
+  }
 
  private:
   mutable std::mutex mu_;

@@ -267,7 +267,12 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   sessions_ = std::make_unique<WorkerSessions>([this](Event event) {
     const absl::Status status = host_->Post(std::move(event)).status;
     if (!status.ok()) ServerLog().debug("worker event: {}", status.ToString());
-  }, options.audit_rate > 0);
+  }, options.audit_rate > 0, [this](JobId job, int64_t tile_index, SampleRange range) {
+    return host_->TryRead([&](const Coordinator& c) {
+      const std::shared_ptr<const Film> film = c.FilmOf(job);
+      return film == nullptr ? FoldTarget{} : FoldTargetIn(*film, tile_index, range);
+    });
+  });
   watchers_ = std::make_unique<WatchHub>(WatchCallbacks{
       .get_job =
           [this](JobId job, v1::Job* out) {

@@ -14,6 +14,7 @@
 #include "absl/strings/str_cat.h"
 #include "core/base/check.h"
 #include "core/film/code_blocks.h"
+#include "core/film/fold_target.h"
 #include "core/film/node_rounding.h"
 #include "core/film/plane_coding.h"
 #include "core/film/quantity_planes.h"
@@ -316,8 +317,8 @@ absl::Status CheckWhole(const TileStatistics& tile) {
 
 // Reads one quantity into the tile's planes. Each is checked while it is in the cache.
 absl::Status ReadQuantity(const Quantity& quantity, DeltaEncoding encoding,
-                          const PlaneCodings& codings, ByteReader* reader, QuantityPlanes* planes,
-                          TileStatistics* tile) {
+                          const PlaneCodings& codings, FoldTarget* target,
+                          ByteReader* reader, QuantityPlanes* planes, TileStatistics* tile) {
   const bool has_blocks = encoding == DeltaEncoding::kPackedBlocks;
   if (!has_blocks) {
     absl::Status status = ReadStreams(quantity, encoding, codings, reader, planes);
@@ -338,6 +339,7 @@ absl::Status ReadQuantity(const Quantity& quantity, DeltaEncoding encoding,
       } else if (has_blocks && !reader->ReadCodes(codes)) {
         return Malformed("bad blocks of codes");
       }
+      if (target != nullptr) target->PrefetchNext(codes.size() * sizeof(uint32_t));
       RestorePlane(context, coding, codes, planes->words[half][channel]);
       if (absl::Status status = CheckPlane(*tile, half, plane); !status.ok()) return status;
     }
@@ -410,7 +412,7 @@ uint64_t DeltaChecksum(const DeltaKey& key, std::string_view payload) {
 
 absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
                                            int64_t feature_end, uint32_t encoding,
-                                           std::string_view payload) {
+                                           std::string_view payload, FoldTarget* target) {
   if (window.empty() || range.begin < 0 || range.empty() || range.end > kSamplesMax) {
     return absl::InvalidArgumentError(
         "delta: the window must have pixels and the sample range lie within [0, 2^31)");
@@ -446,7 +448,7 @@ absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange 
   for (const Quantity& quantity : kQuantities) {
     if (!Has(tile, quantity.first_plane)) continue;
     absl::Status status =
-        ReadQuantity(quantity, known_encoding, codings, &reader, &planes, &tile);
+        ReadQuantity(quantity, known_encoding, codings, target, &reader, &planes, &tile);
     if (!status.ok()) return status;
   }
   if (!reader.empty()) return Malformed("too many bytes");

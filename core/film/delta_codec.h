@@ -11,6 +11,8 @@
 
 namespace tessera {
 
+class FoldTarget;
+
 enum class DeltaEncoding : uint32_t {
   kPacked = 1,        // planes packed to their stored precision: the quickest to write
   kPackedZstd = 2,    // the same, bytes shuffled, zstd-compressed: the smallest, for disks
@@ -28,9 +30,11 @@ EncodedDelta EncodeDelta(const TileStatistics& tile, DeltaEncoding encoding);
 // Errors: INVALID_ARGUMENT for a wrong size, feature end, checksum, encoding, or a value that
 // statistics cannot have (non-finite, negative msd, more hits than samples). Never allocates more
 // than the window and range imply.
+// target: what will take in the statistics next; null if that is not known (fold_target.h).
 absl::StatusOr<TileStatistics> DecodeDelta(const PixelRect& window, SampleRange range,
                                            int64_t feature_end, uint32_t encoding,
-                                           std::string_view payload);
+                                           std::string_view payload,
+                                           FoldTarget* target = nullptr);
 
 // What a delta says of itself beside its payload.
 struct DeltaKey {

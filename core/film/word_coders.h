@@ -37,9 +37,9 @@ inline Words AsWords(typename LaneTypes<Words>::Float floats) {
   return std::bit_cast<Words>(floats);
 }
 
-// `if_less` in the lanes where a < b, else `if_not`; a and b are below 2^31, where the comparison of
-// signed numbers, which vector units have, is the same. Chosen without branches, values are computed
-// for all lanes at once.
+// `if_less` in the lanes where a < b, else `if_not`; a and b are below 2^31, where comparing signed
+// numbers, which vector units can do, is the same. Chosen without branches: values are computed for
+// all lanes at once.
 template <typename Words>
 inline Words ChooseIfLess(Words a, Words b, Words if_less, Words if_not) {
   using Ints = typename LaneTypes<Words>::Int;

@@ -9,6 +9,7 @@
 
 #include "core/denoise/window_codec.h"
 #include "core/film/delta_codec.h"
+#include "server/coordinator/coordinator.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator/limits.h"
 #include "server/coordinator/tile_noise.h"
@@ -73,7 +74,8 @@ std::optional<WireDelta> ReadDelta(std::string_view bytes) {
   return out;
 }
 
-absl::StatusOr<Event> DecodeEvent(SessionId session, WireDelta&& wire, bool with_digest) {
+absl::StatusOr<Event> DecodeEvent(SessionId session, WireDelta&& wire, bool with_digest,
+                                  const FindFoldTarget& find_target) {
   v1::TileDelta& delta = wire.delta;
   const v1::Region& window = delta.window();
   const SampleRange range{delta.sample_begin(), delta.sample_end()};
@@ -90,8 +92,12 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, WireDelta&& wire, bool with
   }
   DeltaEvent event{.session = session};
   event.wire_bytes = wire.wire_bytes;
-  absl::StatusOr<TileStatistics> tile =
-      DecodeDelta(RectOf(window), range, delta.feature_end(), delta.encoding(), wire.payload);
+  FoldTarget target;
+  if (const absl::StatusOr<JobId> job = ParseJobName(delta.job()); job.ok() && find_target) {
+    target = find_target(*job, delta.tile_index(), range);
+  }
+  absl::StatusOr<TileStatistics> tile = DecodeDelta(
+      RectOf(window), range, delta.feature_end(), delta.encoding(), wire.payload, &target);
   if (!tile.ok()) return tile.status();
   event.tile = *std::move(tile);
   event.noise = NoiseOf(event.tile);
@@ -105,7 +111,7 @@ absl::StatusOr<Event> DecodeEvent(SessionId session, v1::TileDelta& delta, bool 
   const auto wire_bytes = static_cast<int64_t>(delta.ByteSizeLong());
   const std::string payload = std::move(*delta.mutable_payload());
   delta.clear_payload();
-  return DecodeEvent(session, {std::move(delta), payload, wire_bytes}, with_digest);
+  return DecodeEvent(session, {std::move(delta), payload, wire_bytes}, with_digest, {});
 }
 
 absl::StatusOr<Event> DecodeEvent(SessionId session, v1::FilteredWindow& filtered) {
@@ -170,11 +176,12 @@ absl::StatusOr<Event> EventOf(SessionId session, v1::WorkerMessage& message, boo
   return absl::InvalidArgumentError("an empty message, or one of another version");
 }
 
-absl::StatusOr<Event> EventOf(SessionId session, std::string_view message, bool with_digests) {
+absl::StatusOr<Event> EventOf(SessionId session, std::string_view message, bool with_digests,
+                              const FindFoldTarget& find_target) {
   if (const std::optional<std::string_view> bytes = DeltaBytesOf(message)) {
     std::optional<WireDelta> delta = ReadDelta(*bytes);
     if (!delta) return absl::InvalidArgumentError("a damaged message, or one of another version");
-    return DecodeEvent(session, *std::move(delta), with_digests);
+    return DecodeEvent(session, *std::move(delta), with_digests, find_target);
   }
   v1::WorkerMessage parsed;
   if (!parsed.ParseFromArray(message.data(), static_cast<int>(message.size()))) {

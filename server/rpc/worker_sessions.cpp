@@ -130,7 +130,8 @@ class WorkReactor : public WorkerSessions::Stream {
   absl::Status Handle(std::string_view message) {
     const bool is_timed = num_messages_++ % kMessagesPerTiming == 0;
     const int64_t begin_ns = is_timed ? ThreadNanoseconds() : 0;
-    absl::StatusOr<Event> event = EventOf(session_, message, sessions_->with_digests_);
+    absl::StatusOr<Event> event =
+        EventOf(session_, message, sessions_->with_digests_, sessions_->find_target_);
     if (is_timed) sessions_->decode_ns_ += kMessagesPerTiming * (ThreadNanoseconds() - begin_ns);
     if (!event.ok()) return event.status();
     const auto* const connected = std::get_if<WorkerConnectedEvent>(&*event);

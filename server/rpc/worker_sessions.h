@@ -13,6 +13,7 @@
 
 #include "absl/status/status.h"
 #include "server/coordinator/event.h"
+#include "server/coordinator/worker_message.h"
 #include "tessera/v1/worker.pb.h"
 
 namespace tessera {
@@ -27,8 +28,9 @@ class WorkerSessions {
   using Stream = grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>;
   using Post = std::function<void(Event)>;
   // with_digests: deltas come with what audits compare, taken on the stream's own thread.
-  explicit WorkerSessions(Post post, bool with_digests = false)
-      : post_(std::move(post)), with_digests_(with_digests) {}
+  // find_target: must not wait for the coordinator; may be empty.
+  explicit WorkerSessions(Post post, bool with_digests = false, FindFoldTarget find_target = {})
+      : post_(std::move(post)), with_digests_(with_digests), find_target_(std::move(find_target)) {}
 
   // The reactor of a new stream. It deletes itself.
   Stream* Accept(grpc::CallbackServerContext* context);
@@ -49,6 +51,7 @@ class WorkerSessions {
 
   const Post post_;
   const bool with_digests_;
+  const FindFoldTarget find_target_;
   std::atomic<int64_t> decode_ns_ = 0;
   std::mutex mu_;  // guards all below
   std::map<SessionId, WorkReactor*> reactors_;

@@ -3,7 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <string>
+#include <utility>
+#include <vector>
 
+#include "server/coordinator/coordinator.h"
 #include "server/coordinator/job_settings.h"
 #include "tests/server/synthetic_tile.h"
 
@@ -49,6 +52,24 @@ TEST(WorkerMessage, ADeltaInBytesIsTheDeltaInMemory) {
   EXPECT_EQ(a.wire_bytes, b.wire_bytes);
   EXPECT_EQ(a.noise, b.noise);
   EXPECT_EQ(a.digest, b.digest);
+}
+
+// What it will be folded into is asked for once it is known to be undamaged.
+TEST(WorkerMessage, ADeltaAsksForItsTarget) {
+  const v1::WorkerMessage message = DeltaMessage();
+  const std::pair key{message.delta().tile_index(), kRange};
+  std::vector<std::pair<int64_t, SampleRange>> asked;
+  const FindFoldTarget find = [&](JobId job, int64_t tile_index, SampleRange range) {
+    EXPECT_EQ(JobName(job), message.delta().job());
+    asked.push_back({tile_index, range});
+    return FoldTarget{};
+  };
+  std::string bytes = message.SerializeAsString();
+  ASSERT_TRUE(EventOf(kSession, bytes, false, find).ok());
+  EXPECT_EQ(asked, std::vector{key});
+  bytes.back() ^= 1;
+  EXPECT_FALSE(EventOf(kSession, bytes, false, find).ok());
+  EXPECT_EQ(asked.size(), 1u);
 }
 
 TEST(WorkerMessage, OtherMessagesInBytesAreThemselves) {

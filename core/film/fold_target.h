@@ -1,0 +1,40 @@
+// Where the statistics lie that a delta will be folded into. A large film is in main memory: it is
+// asked for while the delta is read, so that the fold finds it in the cache.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+
+#include "core/base/sample_range.h"
+#include "core/film/film.h"
+
+namespace tessera {
+
+// Addresses alone, which nobody reads or writes: the statistics may be gone. Front to back, as
+// memory is quickest.
+class FoldTarget {
+ public:
+  // No memory.
+  FoldTarget() = default;
+  // The planes of `node` that are joined with those of a delta that has features, or has none.
+  FoldTarget(const TileStatistics& node, bool with_features);
+
+  // Asks for the next bytes.
+  void PrefetchNext(size_t num_bytes);
+
+  size_t num_bytes() const;  // still to be asked for
+
+ private:
+  struct Part {
+    const char* begin = nullptr;
+    size_t num_bytes = 0;
+  };
+  std::array<Part, 2 * kNumHalves> parts_ = {};
+  size_t first_part_ = 0;
+};
+
+// The node of a tile that samples before or after it join; no memory if there is none.
+FoldTarget FoldTargetIn(const Film& film, int64_t tile_index, SampleRange range);
+
+}  // namespace tessera
