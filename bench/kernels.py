@@ -3,16 +3,17 @@
 
     ninja -C BUILD ablation_bench lean_bench path_tracer_bench
     bench/kernels.py --build BUILD --out FOLDER [--scenes FOLDER] [--views kitchen,...]
-        [--size 96x54] [--spp 8] [--rounds 5] [--instructions-only]
+        [--size 96x54] [--spp 8] [--rounds 5] [--count] [--lean-only]
 
 First table, by view: CPU time of rendering without one choice, and without all of them, over that
 with all. Runs alternate; the median of the rounds' ratios, and half the distance of their quartiles.
 Pictures must have the same bits (a view whose bits differ is named, and the exit code is 1).
 
+With --count the same in instructions of a sample instead, as callgrind counts them, which has no
+noise: the difference of two runs of one thread that differ in nothing but the number of samples.
+
 Second table: instructions of a sample of the Cornell box, in the usual build and in one that lacks
-what the box does not need (TESSERA_LEAN), as callgrind counts them, which has no noise: the
-difference of two runs of one thread that differ in nothing but the number of samples; and CPU time,
-by turns. Needs valgrind, python3-numpy and python3-openimageio.
+what the box does not need (TESSERA_LEAN); and CPU time, by turns. Needs valgrind, python3-numpy and python3-openimageio.
 """
 
 import argparse
@@ -35,7 +36,6 @@ CHOICES = {
     "opaque_meshes": "traversal asks for alpha only where there is some",
     "plain_materials": "constants in place of questions for textures",
     "lone_solids": "no account of the solids that a path is in, where nothing refracts",
-    "blind_rays": "no last ray where it can find no light",
 }
 FEATURES_OFF = "textures, alpha, layers and glass, environment and point lights, instances, unlit"
 
@@ -49,7 +49,8 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--size", default="96x54")
     parser.add_argument("--spp", type=int, default=8)
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--instructions-only", action="store_true")
+    parser.add_argument("--count", action="store_true", help="instructions in place of seconds")
+    parser.add_argument("--lean-only", action="store_true", help="the second table alone")
     args = parser.parse_args()
     args.bin = args.build / "bin"
     for name in ("ablation_bench", "lean_bench", "path_tracer_bench"):
@@ -104,13 +105,24 @@ def measure(args, view) -> tuple[list[str], bool]:
     return cells, same
 
 
-def instructions(args, program: str, view, spp: int) -> int:
-    """Of a whole run, by callgrind."""
-    counted = subprocess.run(
-        ["valgrind", "--tool=callgrind", f"--callgrind-out-file={args.out / 'callgrind.out'}",
-         *command(args, program, view, "32x18", spp), "--branches", "1"],
-        capture_output=True, text=True, check=True)
-    return int(re.search(r"Collected : (\d+)", counted.stderr).group(1))
+def instructions(args, program: str, view, *flags: str) -> float:
+    """Of one sample, by callgrind."""
+    def of_run(spp: int) -> int:
+        counted = subprocess.run(
+            ["valgrind", "--tool=callgrind", f"--callgrind-out-file={args.out / 'callgrind.out'}",
+             *command(args, program, view, "32x18", spp), "--branches", "1", *flags],
+            capture_output=True, text=True, check=True)
+        return int(re.search(r"Collected : (\d+)", counted.stderr).group(1))
+    return (of_run(16) - of_run(8)) / (32 * 18 * 8)
+
+
+def count(args, view) -> list[str]:
+    """The row of a view, in instructions."""
+    out = ["--out", str(args.out / "picture.exr")]
+    every = [flag for choice in CHOICES for flag in ("--without", choice)]
+    whole = instructions(args, "ablation_bench", view, *out)
+    return [f"{instructions(args, 'ablation_bench', view, *out, *without) / whole:.3f}"
+            for without in [("--without", choice) for choice in CHOICES] + [every]]
 
 
 def cost_of_the_unused(args) -> None:
@@ -124,8 +136,7 @@ def cost_of_the_unused(args) -> None:
     ratios = [a / b for a, b in zip(*cpu.values())]
     spread = statistics.stdev(ratios) / math.sqrt(len(ratios))
     for program in cpu:
-        more, fewer = (instructions(args, program, view, spp) for spp in (16, 8))
-        per_sample[program] = (more - fewer) / (32 * 18 * 8)
+        per_sample[program] = instructions(args, program, view)
     usual, lean = per_sample["path_tracer_bench"], per_sample["lean_bench"]
     print("\n| Cornell box | instructions a sample |\n|---|---|")
     print(f"| the usual build | {usual:.0f} |")
@@ -139,13 +150,13 @@ def main() -> int:
     args = parse_arguments()
     args.out.mkdir(parents=True, exist_ok=True)
     all_same = True
-    if not args.instructions_only:
+    if not args.lean_only:
         for choice, what in CHOICES.items():
             print(f"- {choice}: {what}")
         print(f"\n| view | {' | '.join(CHOICES)} | none of them |\n|{'---|' * (len(CHOICES) + 2)}",
               flush=True)
         for view in views.chosen(args.views, args.scenes):
-            cells, same = measure(args, view)
+            cells, same = (count(args, view), True) if args.count else measure(args, view)
             print(f"| {view.name} | {' | '.join(cells)} |", flush=True)
             if not same:
                 print(f"{view.name}: the bits differ", file=sys.stderr)

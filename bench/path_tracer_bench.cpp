@@ -219,7 +219,6 @@ void AddSteps(CLI::App* app) {
       {"opaque_meshes", &PathTracerSteps::opaque_meshes},
       {"plain_materials", &PathTracerSteps::plain_materials},
       {"lone_solids", &PathTracerSteps::lone_solids},
-      {"blind_rays", &PathTracerSteps::blind_rays},
   };
   app->add_option_function<std::vector<std::string>>(
          "--without",

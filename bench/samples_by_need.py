@@ -4,9 +4,10 @@ uniform sampling, and how true the promised error is.
 
     bench/samples_by_need.py --build build/release --out OUTPUT_FOLDER [--scenes FOLDER]
         [--views kitchen,bunny,...] [--size 256x144] [--references 1024] [--counts 32,128]
-        [--seeds 3] [--csv FILE]
+        [--targets 0.02,...] [--seeds 3] [--csv FILE]
 
-For each view and each of --counts: the error that so many samples everywhere leave is the target;
+For each view and each of --counts: the error that so many samples everywhere leave is the target
+(or --targets are);
 `tessera render --target-error` goes for it with `--sampling uniform` and `adaptive`, --seeds times
 each. True errors (sqrt(relMSE)) are against two references of other seeds, free of their noise
 (peers/accuracy.py). CPU seconds are those of the process without what a render of one sample takes
@@ -61,12 +62,14 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--size", default="256x144")
     parser.add_argument("--references", type=int, default=1024, help="samples of each reference")
     parser.add_argument("--counts", default="32,128")
+    parser.add_argument("--targets", help="comma-separated errors; those of --counts without")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--bound-seeds", type=int, default=4, help="of each uniform count; 0 = no bound")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--csv", type=pathlib.Path, help="every render, as a table")
     args = parser.parse_args()
     args.counts = [int(count) for count in args.counts.split(",")]
+    args.targets = [float(target) for target in (args.targets or "").split(",") if target]
     if args.seeds < 2:
         parser.error(f"--seeds {args.seeds}: errors are between seeds; use 2 or more")
     if args.bound_seeds % 2:
@@ -265,8 +268,7 @@ def measure(args, view) -> tuple[Found, list[dict]]:
     bench = Bench(args, view)
     runs: dict[str, list[dict]] = {"uniform": [], "adaptive": []}
     rows = []
-    for count in args.counts:
-        target = bench.target(count)
+    for target in args.targets or [bench.target(count) for count in args.counts]:
         for seed in range(1, 1 + args.seeds):
             for sampling, of in runs.items():  # in turn: a busy machine slows both
                 of.append(bench.to_target(sampling, target, seed))

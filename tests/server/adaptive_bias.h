@@ -69,6 +69,7 @@ inline TileStatistics SkewedTile(NoiseAt noise_at, uint64_t seed, const PixelRec
 struct BiasRun {
   double mean = 0;  // of the raw picture
   double spp = 0;
+  double relmse = 0;  // of the served picture, against the truth
 };
 
 // A job that samples adaptively until its picture's error is estimated at `target`.
@@ -101,9 +102,13 @@ inline BiasRun RunAdaptive(NoiseAt noise_at, const std::string& denoiser, double
   farm.RunAll();
   TESSERA_CHECK(farm.Job(1).stop_reason() == v1::STOP_REASON_TARGET_ERROR);
   const Image raw = *picture->Snapshot(picture->region(), {"raw"});
-  double sum = 0;
+  const Image served = *picture->Snapshot(picture->region(), {"final"});
+  double sum = 0, squares = 0;
   for (const float value : raw.channels[0].floats) sum += value;
-  return {.mean = sum / (kBiasWidth * kBiasHeight), .spp = farm.Job(1).progress().spp()};
+  for (const float value : served.channels[0].floats) squares += (value - 1.0) * (value - 1.0);
+  return {.mean = sum / (kBiasWidth * kBiasHeight),
+          .spp = farm.Job(1).progress().spp(),
+          .relmse = squares / (kBiasWidth * kBiasHeight) / (1 + kRelMseEpsilon)};
 }
 
 inline BiasRun RunUniform(NoiseAt noise_at, int64_t spp, uint64_t seed) {

@@ -22,7 +22,6 @@ struct PathTracerSteps {
   bool opaque_meshes = true;    // traversal asks no alpha of them; else of every mesh
   bool plain_materials = true;  // their constants are read; else every surface asks for textures
   bool lone_solids = true;      // no account of what a path is in; else always
-  bool blind_rays = true;       // no last ray where it can find no light; else always
 };
 
 // What scenes may have. Only lean_bench is built without, for a scene that needs none of it, to

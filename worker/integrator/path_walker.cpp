@@ -311,8 +311,6 @@ void PathWalker::CastShadows(Batch* batch) const {
 void PathWalker::Scatter(Batch* batch) const {
   batch->walking.Clear();
   if (batch->met.size() == 0) return;
-  // Either all paths are blind or none.
-  if (IsBlind(batch->paths[batch->met[0]])) return;
   NumbersOfPaths numbers;
   for (int i : batch->met) numbers[i] = &batch->paths[i].numbers;
   std::array<Scattered, kPathsMax> scattered;
@@ -324,16 +322,10 @@ void PathWalker::Scatter(Batch* batch) const {
   }
 }
 
-// The last bounce's ray only looks for light that direct lighting competes for.
-bool PathWalker::IsBlind(const PathState& path) const {
-  return Steps().blind_rays && path.depth == max_depth_ && parts_.environment == nullptr &&
-         !parts_.lights.has_extended_lights();
-}
-
 // Sends branch number `branch` of each path that met a surface on its way, as a path of its own.
 void PathWalker::Branch(const Batch& stems, int branch, Batch* batch) const {
   batch->walking.Clear();
-  if (stems.met.size() == 0 || IsBlind(stems.paths[stems.met[0]])) return;
+  if (stems.met.size() == 0) return;
   std::array<SobolSampler::Points, kPathsMax> own_numbers;
   NumbersOfPaths numbers;
   for (int i : stems.met) {

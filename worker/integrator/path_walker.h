@@ -99,7 +99,6 @@ class PathWalker {
   using LooksOfPaths = std::array<LightLook, kPathsMax>;
   void DrawLights(const LooksOfPaths& looks, int round, Batch* batch, List* facing) const;
   void AimShadow(PathState* path) const;
-  bool IsBlind(const PathState& path) const;
   bool Continue(const PathState& from, const Scattered& scattered, PathState* path) const;
   float StrategyWeight(float pdf, float other_pdf, LightStrategy own) const;
   Float8 StrategyWeight8(Float8 pdf, Float8 other_pdf, LightStrategy own) const;
