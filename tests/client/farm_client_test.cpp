@@ -254,9 +254,7 @@ TEST_F(FarmClientTest, WatchStopsWhenAsked) {
 // --- pictures ---
 
 std::string Words(const std::vector<uint32_t>& words) {
-  std::string bytes(words.size() * 4, '\0');
-  std::memcpy(bytes.data(), words.data(), bytes.size());
-  return bytes;
+  return std::string(reinterpret_cast<const char*>(words.data()), words.size() * sizeof(uint32_t));
 }
 
 v1::GetImageResponse HeaderOf2x1() {

@@ -13,9 +13,9 @@ constexpr uint64_t kSeeds = 400;
 constexpr double kQuantile = 3.29;  // of a normal distribution, two-sided: 99.9 %
 
 // True means are 1, and equal numbers of samples are known to keep them: adaptive jobs alone are
-// rendered. The bias is below the bound with a confidence of 99.9 %; and the true error of the served
-// picture is at most what was promised. (It is much less here, where the truth is flat: the filter
-// leaves less noise than its estimate of it has. On renders: bench/samples_by_need.py.)
+// rendered. The bias is below the bound with a confidence of 99.9 %; and the true error of the
+// served picture is at most what was promised. (It is much less here, where the truth is flat: the
+// filter leaves less noise than its estimate of it has. On renders: bench/samples_by_need.py.)
 void ExpectBiasBelow(NoiseAt noise, double target, double bound) {
   std::vector<double> means;
   double spp = 0, relmse = 0;
