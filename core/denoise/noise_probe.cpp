@@ -24,15 +24,23 @@ float Sign(int x, int y, uint32_t half) {
 
 void Probe(float step, RegressionInput* input) {
   const PixelRect& bounds = input->bounds;
-  size_t i = 0;
+  const auto width = static_cast<size_t>(bounds.width());
+  Plane move(width);  // of a row
   for (int y = bounds.y_begin; y < bounds.y_end; ++y) {
-    for (int x = bounds.x_begin; x < bounds.x_end; ++x, ++i) {
-      if (input->known[i] == 0) continue;
-      const float shares[] = {input->share_a[i], 1.0f - input->share_a[i]};
-      for (uint32_t half = 0; half < kNumHalves; ++half) {
-        const float move = step * Sign(x, y, half);
-        for (size_t c = 0; c < 3; ++c) {
-          input->color[half][c][i] += move * std::sqrt(input->variance[c][i] / shares[half]);
+    const auto row = static_cast<size_t>(bounds.IndexOf(bounds.x_begin, y));
+    const float* const known = &input->known[row];
+    const float* const share_a = &input->share_a[row];
+    for (uint32_t half = 0; half < kNumHalves; ++half) {
+      for (size_t x = 0; x < width; ++x) {
+        move[x] = step * Sign(bounds.x_begin + static_cast<int>(x), y, half);
+      }
+      for (size_t c = 0; c < 3; ++c) {
+        const float* const variance = &input->variance[c][row];
+        float* const color = &input->color[half][c][row];
+        for (size_t x = 0; x < width; ++x) {
+          const float share = half == 0 ? share_a[x] : 1.0f - share_a[x];
+          const float moved = color[x] + move[x] * std::sqrt(variance[x] / share);
+          color[x] = known[x] == 0 ? color[x] : moved;
         }
       }
     }

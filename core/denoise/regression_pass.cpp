@@ -168,8 +168,10 @@ PassOutputs RunCrossPasses(const RegressionInput& input, std::span<const ColorHa
   }
   WindowWeights weights(settings.constants.window_radius_px, settings.constants.weights);
   WindowFit fit;
+  WindowPlane variance_sum;
   const auto fit_at = [&](int x, int y, int reach_px) {
     weights.Set(guide, 1, x, y);
+    weights.Gather(input.bounds, input.variance_sum, &variance_sum);
     fit.SetCentre(weights, features);
     for (size_t value = 0; value < static_cast<size_t>(guide.num_values); ++value) {
       const size_t half = value % kNumHalves;
@@ -178,7 +180,7 @@ PassOutputs RunCrossPasses(const RegressionInput& input, std::span<const ColorHa
       const Plane* const targets[] = {color.data(), &color[1], &color[2]};
       fit.Fit(static_cast<int>(value), input.bounds, targets);
       const float noise =
-          2.0f * fit.SquareWeightedSum(input.bounds, input.variance_sum) / fit.weight_sum();
+          2.0f * fit.SquareWeightedSum(variance_sum) / fit.weight_sum();
       for (size_t k = 1; k < static_cast<size_t>(fit.num_unknowns()); ++k) {
         Float8& z = fit.coefficients[k];
         z *= Kept(z[0] * z[0] + z[1] * z[1] + z[2] * z[2], noise);

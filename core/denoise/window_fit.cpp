@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <utility>
 
 #include "core/base/check.h"
@@ -36,14 +37,17 @@ void WindowFit::SetCentre(const WindowWeights& weights, const SmoothFeatures& fe
   noise_ = {};
   num_unknowns_ = 3;
   const size_t centre = At(features.bounds, weights.x(), weights.y());
+  std::array<const Plane*, kNumFeatures> planes;
+  for (size_t k = 0; k < kNumFeatures; ++k) planes[k] = &features.value[k];
+  weights.Gather(features.bounds, planes, &regressors_[3]);
   for (size_t k = 0; k < kNumFeatures; ++k) {
-    WindowPlane& regressor = regressors_[static_cast<size_t>(num_unknowns_)];
-    weights.Gather(features.bounds, features.value[k], &regressor);
+    const WindowPlane& gathered = regressors_[3 + k];
+    WindowPlane& regressor = regressors_[static_cast<size_t>(num_unknowns_)];  // it or one before
     const float value = features.value[k][centre];
     Float8 most = {};
     for (int i = 0; i < n; ++i) {
-      Float8& difference = regressor[static_cast<size_t>(i)];
-      difference -= value;
+      const Float8 difference = gathered[static_cast<size_t>(i)] - value;
+      regressor[static_cast<size_t>(i)] = difference;
       // What lies outside the window must not count: its weight is 0.
       const Float8 square = difference * difference;
       most = Max8(most, weights.total(i) > 0.0f ? square : Float8{});
@@ -59,9 +63,7 @@ void WindowFit::SetCentre(const WindowWeights& weights, const SmoothFeatures& fe
 
 void WindowFit::Fit(int value, const PixelRect& bounds, std::span<const Plane* const> targets) {
   weight_ = &weights_->weight(value);
-  for (size_t t = 0; t < targets.size(); ++t) {
-    weights_->Gather(bounds, *targets[t], &targets_[t]);
-  }
+  weights_->Gather(bounds, targets, targets_.data());
   switch (num_unknowns_) {
     case 3: return FitAs<3>(targets.size());
     case 4: return FitAs<4>(targets.size());
@@ -82,11 +84,10 @@ void WindowFit::FitAs(size_t num_targets) {
   Factor();
 }
 
-float WindowFit::SquareWeightedSum(const PixelRect& bounds, const Plane& plane) {
-  weights_->Gather(bounds, plane, &scratch_);
+float WindowFit::SquareWeightedSum(const WindowPlane& plane) const {
   Float8 sum = {};
   for (size_t i = 0; i < static_cast<size_t>(weights_->num_vectors()); ++i) {
-    sum += (*weight_)[i] * (*weight_)[i] * scratch_[i];
+    sum += (*weight_)[i] * (*weight_)[i] * plane[i];
   }
   return Sum8(sum);
 }
@@ -179,17 +180,19 @@ std::array<Float8, kNumUnknowns> WindowFit::Solve() const {
 
 namespace {
 
-// Sets values[t] to the predictions of target t, of a pair of vectors at a time.
+// Sets values[t] to the predictions of target t in the chosen vectors, a pair at a time: there is
+// one more than are chosen.
 template <int kTargets>
-void Predict(size_t num_vectors, int num_unknowns, const WindowPlane* regressors,
+void Predict(std::span<const uint16_t> chosen, int num_unknowns, const WindowPlane* regressors,
              const std::array<Float8, kNumUnknowns>& beta, WindowPlane* values) {
-  for (size_t i = 0; i < num_vectors; i += 2) {
+  for (size_t i = 0; i + 1 < chosen.size(); i += 2) {
+    const size_t here = chosen[i], next = chosen[i + 1];
     Float8 first[kTargets], second[kTargets];
 #pragma GCC unroll 8
     for (int t = 0; t < kTargets; ++t) first[t] = second[t] = Float8{} + beta[0][t];
     for (int k = 1; k < num_unknowns; ++k) {
-      const Float8 x = regressors[k][i];
-      const Float8 next_x = regressors[k][i + 1];
+      const Float8 x = regressors[k][here];
+      const Float8 next_x = regressors[k][next];
 #pragma GCC unroll 8
       for (int t = 0; t < kTargets; ++t) {
         const float b = beta[static_cast<size_t>(k)][t];
@@ -199,8 +202,8 @@ void Predict(size_t num_vectors, int num_unknowns, const WindowPlane* regressors
     }
 #pragma GCC unroll 8
     for (int t = 0; t < kTargets; ++t) {
-      values[t][i] = first[t];
-      values[t][i + 1] = second[t];
+      values[t][here] = first[t];
+      values[t][next] = second[t];
     }
   }
 }
@@ -210,21 +213,30 @@ void Predict(size_t num_vectors, int num_unknowns, const WindowPlane* regressors
 void WindowFit::AddPrediction(const PixelRect& bounds, int reach_px, std::span<Plane* const> sums,
                               Plane* weight_sums) {
   const std::array<Float8, kNumUnknowns> beta = Solve();
-  const auto n = static_cast<size_t>(weights_->num_vectors());
-  if (sums.size() == 3) {
-    Predict<3>(n, num_unknowns_, regressors_.data(), beta, targets_.data());
-  } else {
-    Predict<6>(n, num_unknowns_, regressors_.data(), beta, targets_.data());
-  }
   const bool is_whole = reach_px >= weights_->radius_px();
+  std::array<uint16_t, kWindowVectorsMax + 1> vectors;
+  size_t num_chosen = 0;
+  for (int i = 0; i < weights_->num_vectors(); ++i) {
+    const int dx = weights_->dx(i);
+    const bool is_reached = std::abs(weights_->dy(i)) <= reach_px && dx <= reach_px &&
+                            dx + kFloat8Lanes > -reach_px;
+    if (is_whole || is_reached) vectors[num_chosen++] = static_cast<uint16_t>(i);
+  }
+  // One more, whose regressors are 0.
+  vectors[num_chosen] = static_cast<uint16_t>(weights_->num_vectors());
+  const std::span<const uint16_t> chosen(vectors.data(), num_chosen + 1);
+  if (sums.size() == 3) {
+    Predict<3>(chosen, num_unknowns_, regressors_.data(), beta, targets_.data());
+  } else {
+    Predict<6>(chosen, num_unknowns_, regressors_.data(), beta, targets_.data());
+  }
   const auto reach = static_cast<float>(reach_px);
   const size_t centre = At(bounds, weights_->x(), weights_->y());
-  for (size_t i = 0; i < n; ++i) {
-    const int dx = weights_->dx(static_cast<int>(i));
-    const int dy = weights_->dy(static_cast<int>(i));
+  for (const uint16_t i : chosen.first(num_chosen)) {
+    const int dx = weights_->dx(i);
+    const int dy = weights_->dy(i);
     Float8 weight = (*weight_)[i];
     if (!is_whole) {
-      if (std::abs(dy) > reach_px || dx > reach_px || dx + kFloat8Lanes <= -reach_px) continue;
       const Float8 right = kLane + static_cast<float>(dx);
       weight = Max8(right, -right) > reach ? Float8{} : weight;
     }

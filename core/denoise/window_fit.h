@@ -27,9 +27,9 @@ class WindowFit {
   // Fits planes (row-major over `bounds`; 3 or 6 of them) under the weights of `value`.
   void Fit(int value, const PixelRect& bounds, std::span<const Plane* const> targets);
 
-  // The sum of the weights; of a plane under the squared weights.
+  // The sum of the weights; of a plane, as `weights` gather it, under the squared weights.
   float weight_sum() const { return weight_sum_; }
-  float SquareWeightedSum(const PixelRect& bounds, const Plane& plane);
+  float SquareWeightedSum(const WindowPlane& plane) const;
 
   int num_unknowns() const { return num_unknowns_; }
   // coefficients[k][t]: of target t in the orthonormal basis; 0 where a regressor adds nothing to
@@ -55,7 +55,6 @@ class WindowFit {
   int num_unknowns_ = 3;
   std::array<WindowPlane, kNumUnknowns> regressors_;  // from 1 on; the first is the constant
   std::array<WindowPlane, kNumTargetsMax> targets_;
-  WindowPlane scratch_;
   std::array<float, kNumUnknowns> noise_;  // the regressors' own variance at the centre
 
   float weight_sum_ = 0;

@@ -180,12 +180,25 @@ void WindowWeights::SetAs(const Guide& guide) {
 }
 
 void WindowWeights::Gather(const PixelRect& bounds, const Plane& plane, WindowPlane* to) const {
-  const float* const centre = plane.data() + At(bounds, x_, y_);
+  const Plane* const planes[] = {&plane};
+  Gather(bounds, planes, to);
+}
+
+void WindowWeights::Gather(const PixelRect& bounds, std::span<const Plane* const> planes,
+                           WindowPlane* to) const {
+  std::array<std::ptrdiff_t, kWindowVectorsMax> at;
+  const auto centre = static_cast<std::ptrdiff_t>(At(bounds, x_, y_));
   for (int i = 0; i < num_vectors_; ++i) {
-    (*to)[static_cast<size_t>(i)] =
-        Load8(centre + std::ptrdiff_t{dy(i)} * bounds.width() + dx(i));
+    at[static_cast<size_t>(i)] = centre + std::ptrdiff_t{dy(i)} * bounds.width() + dx(i);
   }
-  (*to)[static_cast<size_t>(num_vectors_)] = Float8{};
+  for (const Plane* const plane : planes) {
+    const float* const from = plane->data();
+    for (size_t i = 0; i < static_cast<size_t>(num_vectors_); ++i) {
+      (*to)[i] = Load8(from + at[i]);
+    }
+    (*to)[static_cast<size_t>(num_vectors_)] = Float8{};
+    ++to;
+  }
 }
 
 }  // namespace tessera

@@ -63,7 +63,8 @@ class WindowWeights {
   // Where vector i begins: pixels right of and below the centre.
   int dx(int i) const { return begin_x_[static_cast<size_t>(i)]; }
   int dy(int i) const { return begin_y_[static_cast<size_t>(i)]; }
-  // Copies the vectors of a plane that is row-major over `bounds`, SlackArea long.
+  // Copies the vectors of planes that are row-major over `bounds`, SlackArea long, to to[0], ...
+  void Gather(const PixelRect& bounds, std::span<const Plane* const> planes, WindowPlane* to) const;
   void Gather(const PixelRect& bounds, const Plane& plane, WindowPlane* to) const;
 
  private:

@@ -125,7 +125,9 @@ TEST_F(WindowFitTest, SquareWeightedSum) {
   const float weight = fit_.weight_sum() - 1.0f;
   EXPECT_GT(weight, 0.1f);
   EXPECT_LT(weight, 0.9f);
-  EXPECT_FLOAT_EQ(fit_.SquareWeightedSum(kBounds, plane), 3.0f * (1.0f + weight * weight));
+  WindowPlane gathered;
+  weights_.Gather(kBounds, plane, &gathered);
+  EXPECT_FLOAT_EQ(fit_.SquareWeightedSum(gathered), 3.0f * (1.0f + weight * weight));
 }
 
 }  // namespace
