@@ -215,6 +215,12 @@ void Checkers::CheckEnd(const JobPlan& plan, const v1::Job& record) {
     }
     return;
   }
+  if (plan_.builds_crash && record.state() == v1::JOB_STATE_FAILED) {
+    if (record.error().find("building the scene has crashed") == std::string::npos) {
+      Fail(absl::StrCat(record.name(), " fails of something else: ", record.error()));
+    }
+    return;
+  }
   if (plan.is_poisoned && record.state() != v1::JOB_STATE_CANCELLED) {
     return Fail(absl::StrCat(record.name(), " cannot be rendered, and is in state ",
                              v1::JobState_Name(record.state())));

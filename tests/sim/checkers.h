@@ -31,7 +31,7 @@ class Checkers {
   void OnCounted(JobId job, const Unit& unit);
   // An event has been dealt with; these jobs have a new revision.
   void AfterStep(const Coordinator& coordinator, const std::set<JobId>& changed, Instant now);
-  // The film of a job that ends after the only liar was banned.
+  // The film of a job that ends after all liars were banned.
   void CheckNoLies(const Film& film, const v1::Job& record);
   // Each job's own: ended, and with the bits of one process. `record`: as a client sees it.
   void CheckEnd(const JobPlan& plan, const v1::Job& record);

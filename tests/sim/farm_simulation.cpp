@@ -61,7 +61,8 @@ class Farm {
     if (checkers_.violation().empty()) CheckEnd();
     return {checkers_.violation(), checkers_.steps(),     checkers_.counted(),
             network_.corrupted(),  time_.now_us() / kMs, jobs_ended_ms,
-            server_.windows_filtered(), BuildsGivenUp()};
+            server_.windows_filtered(), std::ssize(server_.platter().bans),
+            BuildsGivenUp()};
   }
 
  private:

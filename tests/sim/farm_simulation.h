@@ -18,6 +18,7 @@ struct SimulationResult {
   int64_t virtual_ms = 0;
   int64_t jobs_ended_ms = 0;  // when the last job was seen to have ended
   int64_t windows_filtered = 0;  // by workers
+  int64_t hosts_banned = 0;      // and on the disk
   int64_t builds_given_up = 0;   // processes that ended as the building of a scene hung
 };
 

@@ -88,13 +88,19 @@ void AddBadCitizens(SimRandom& random, FaultPlan* plan) {
     job.is_poisoned = true;
     job.settings.set_seed(kPoisonSeed);
   }
-  if (plan->is_large || !random.Chance(0.3)) return;
+  const bool has_liars = plan->is_large ? plan->seed % 4 == 1 : random.Chance(0.3);
+  if (!has_liars) return;
   WorkerPlan honest = plan->workers.front();
   honest.failed_fetch = 0;
   for (int i = 0; i < 2; ++i) plan->workers.push_back(honest);
   plan->audit_rate = random.Chance(0.5) ? 1 : random.Uniform();
   honest.lies = random.Chance(0.5) ? 1 : 0.5 * random.Uniform();
-  plan->workers.push_back(honest);
+  // With one liar less than hosts that may disagree about a unit before its job fails.
+  const int64_t liars = plan->is_large ? random.Between(1, 5) : 1;
+  for (int i = 1; i <= liars; ++i) {
+    plan->workers.push_back(honest);
+    plan->workers.back().lie = i;
+  }
 }
 
 // In one farm of two, processors of two makers. Returns the speed of the slowest worker that may be
@@ -128,10 +134,27 @@ bool EndsAProcess(FaultKind kind) {
          kind == FaultKind::kWorkerCrashes || kind == FaultKind::kWorkerDrains;
 }
 
+// In a large farm, the first build of each of 200 workers outlasts the budget. One that goes on for
+// longer than its worker waits costs a process: two do, or all, and then jobs may fail by it.
+void HangAllBuilds(SimRandom& random, FaultPlan* plan) {
+  plan->build_budget_ms = random.Between(5, 60) * 1000;
+  plan->builds_crash = plan->seed % 16 == 10;
+  std::erase_if(plan->faults, [](const Fault& fault) { return EndsAProcess(fault.kind); });
+  for (int i = 0; i < std::ssize(plan->workers); ++i) {
+    Fault fault{.kind = FaultKind::kBuildHangs, .target = i};
+    const bool never_ends = i < 2 || plan->builds_crash;
+    fault.for_us = never_ends ? kNever
+                              : random.Between(plan->build_budget_ms * kMs, kBuildGivenUpUs);
+    plan->faults.push_back(fault);
+  }
+  plan->end_us += 4 * (plan->build_budget_ms * kMs + kBuildGivenUpUs);
+}
+
 // Scenes whose building ends late or never. Two at most: a job whose scene has cost three processes
 // fails. Where a job has one worker only, the server asks it again after as long as the budget, so
 // that what a worker waits before it gives up takes twice as long.
 void AddHungBuilds(SimRandom& random, FaultPlan* plan) {
+  if (plan->is_large && plan->seed % 8 == 2) return HangAllBuilds(random, plan);
   if (plan->seed % 11 < 9) return;
   plan->build_budget_ms = random.Between(5, 60) * 1000;
   const int64_t longest_us = 2 * (plan->build_budget_ms * kMs + kBuildGivenUpUs);

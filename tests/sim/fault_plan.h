@@ -3,6 +3,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "tessera/v1/job.pb.h"
@@ -37,6 +38,7 @@ struct WorkerPlan {
   int64_t start_us = 0;
   double failed_fetch = 0;  // chance of a scene's files not to come
   double lies = 0;          // chance of a delta to be of other samples than it says
+  int lie = 1;              // of which: no two workers of a plan lie alike
   const char* arithmetic = kSimArithmetic;  // decides the bits of what it renders
   bool gives_up = true;  // false is a mistake, for tests of the checkers: it goes on where it hangs
 };
@@ -84,11 +86,14 @@ struct FaultPlan {
   double ingest_load = 0;
   double audit_rate = 0;
   int64_t build_budget_ms = 600000;
+  bool builds_crash = false;  // so often that jobs may fail by it
   bool filters = false;       // windows of pictures are leased to workers
   int64_t faults_end_us = 0;  // after that nothing breaks any more
   int64_t end_us = 0;         // by then every job has ended
   bool is_large = false;      // 200 workers, 20 jobs
 };
+
+inline std::string SimHostName(int worker) { return "host" + std::to_string(worker); }
 
 // A pure function of the seed. is_large: 200 workers and 20 jobs.
 FaultPlan MakeFaultPlan(uint64_t seed, bool is_large = false);

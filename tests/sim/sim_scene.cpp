@@ -46,11 +46,12 @@ v1::AssetRef SimAsset() {
 }
 
 v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
-                        const std::string& arithmetic, bool is_lie) {
+                        const std::string& arithmetic, int lie) {
   // A machine that miscalculates may find another depth, too.
-  const bool is_depth_lie = is_lie && settings.auto_depth() && lease.tile_index() % 2 == 0;
-  const int max_depth = SimDepth(settings, arithmetic) + (is_depth_lie ? 1 : 0);
-  const uint64_t seed = SeedOf(settings, max_depth, arithmetic) + (is_lie ? 1000000 : 0);
+  const bool is_depth_lie = settings.auto_depth() && lease.tile_index() % 2 == 0;
+  const int max_depth = SimDepth(settings, arithmetic) + (is_depth_lie ? lie : 0);
+  uint64_t seed = SeedOf(settings, max_depth, arithmetic);
+  if (lie > 0) seed += 1000000 * static_cast<uint64_t>(2 * lie - 1);
   const PixelRect window = RectOf(lease.window());
   const SampleRange range{lease.sample_begin(), lease.sample_end()};
   const int64_t feature_end = FeatureEndOf(settings.feature_spp());

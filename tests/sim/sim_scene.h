@@ -26,9 +26,9 @@ inline constexpr uint64_t kPoisonSeed = 666;
 // The depth that a job's paths have, in an arithmetic: its own number, or what its pilot finds.
 int SimDepth(const v1::JobSettings& settings, const std::string& arithmetic);
 
-// The delta of a lease, as an honest worker makes it, or one that lies.
+// The delta of a lease, as an honest worker makes it, or one of many that lie, each in its own way.
 v1::TileDelta SimRender(const v1::JobSettings& settings, const v1::Lease& lease,
-                        const std::string& arithmetic, bool is_lie = false);
+                        const std::string& arithmetic, int lie = 0);
 
 // A window of a job's picture, as the server offers it, its planes, and what an honest filter makes
 // of them.

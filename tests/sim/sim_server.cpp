@@ -49,7 +49,7 @@ class SimServer::Run : public EffectSink {
   absl::Status Restore() {
     const absl::Status status =
         RestoreJobs(rows_, films_, *server_.assets_, Config().defaults, host_);
-    has_bans_ = !server_.platter_.bans.empty();
+    for (const auto& [host, ban] : server_.platter_.bans) banned_.insert(host);
     (void)FilmsReset();
     return status;
   }
@@ -132,6 +132,16 @@ class SimServer::Run : public EffectSink {
     }
   }
 
+  std::set<std::string> Liars() const {
+    std::set<std::string> hosts;
+    for (int i = 0; i < std::ssize(server_.plan_.workers); ++i) {
+      if (server_.plan_.workers[static_cast<size_t>(i)].lies > 0) hosts.insert(SimHostName(i));
+    }
+    return hosts;
+  }
+  // Whether every job that ends from now on is free of lies.
+  bool HasBannedAll() const { return !banned_.empty() && banned_ == Liars(); }
+
   void On(const SendEffect& e) { server_.network_->WriteDown(e.session, e.message); }
   void On(const CloseSessionEffect& e) {
     server_.trace_(absl::StrCat("closes session ", e.session, ": ", e.status.ToString()));
@@ -144,7 +154,8 @@ class SimServer::Run : public EffectSink {
   void On(const BanEffect& e) {
     server_.trace_(absl::StrCat("bans ", e.host));
     saver_.SaveBan(e.host, e.reason);
-    has_bans_ = true;
+    banned_.insert(e.host);
+    if (!Liars().contains(e.host)) server_.checkers_.Fail(e.host + " is honest, and banned");
   }
   void On(const RemoveJobEffect& e) { saver_.Remove(e.job); }
   void On(const EvaluatePictureEffect& e) {
@@ -170,7 +181,7 @@ class SimServer::Run : public EffectSink {
     });
   }
   void On(const FinishJobEffect& e) {
-    FilterThen(e.job, [this, job = e.job, no_lies = has_bans_] {
+    FilterThen(e.job, [this, job = e.job, no_lies = HasBannedAll()] {
       const std::shared_ptr<const Film> film =
           host_.Read([&](const Coordinator& c) { return c.FilmOf(job); });
       if (film == nullptr) return;
@@ -248,7 +259,7 @@ class SimServer::Run : public EffectSink {
   bool alive_ = true;
   Instant last_step_;
   int64_t resets_ = 0;
-  bool has_bans_ = false;  // and every job that ends from now on is free of lies
+  std::set<std::string> banned_;  // hosts
   bool saving_ = false;
   bool save_due_ = false;
   std::set<JobId> changed_;

@@ -38,7 +38,7 @@ void SimWorker::Start() {
   options.memory_bytes = me_.memory_bytes;
   options.jitter_seed = random_.Bits();
   options.samples_of = [this](uint64_t task) { return SamplesOf(task); };
-  options.hello.set_host(absl::StrCat("host", index_));
+  options.hello.set_host(SimHostName(index_));
   options.hello.set_process_id(static_cast<int>(process_));
   options.hello.set_threads(me_.threads);
   options.hello.set_memory_bytes(me_.memory_bytes);
@@ -260,7 +260,8 @@ void SimWorker::EndRender(uint64_t id) {
   if (task.cancelled) {
     rendered.delta = absl::CancelledError("cancelled");
   } else {
-    rendered.delta = SimRender(task.settings, task.lease, me_.arithmetic, random_.Chance(me_.lies));
+    rendered.delta = SimRender(task.settings, task.lease, me_.arithmetic,
+                               random_.Chance(me_.lies) ? me_.lie : 0);
     google::protobuf::Duration& time = *rendered.delta->mutable_render_time();
     time.set_seconds(task.works_for_us / kSecond);
     time.set_nanos(static_cast<int>(task.works_for_us % kSecond) * 1000);
