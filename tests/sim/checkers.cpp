@@ -15,6 +15,8 @@
 namespace tessera {
 namespace {
 
+constexpr int64_t kDiskRetryMs = 6000;  // what a full disk refused is written again after 5 s
+
 std::string Name(JobId job, const Unit& unit) {
   return absl::StrCat(JobName(job), " tile ", unit.tile, " [", unit.range.begin, ", ",
                       unit.range.end, ")");
@@ -49,17 +51,53 @@ std::vector<int64_t> TargetCounts(const v1::JobSettings& s, const TileGrid& grid
 
 }  // namespace
 
-void Checkers::OnRestored(const Coordinator& coordinator) {
+void Checkers::OnRestored(const Coordinator& coordinator, const std::set<JobId>& damaged) {
   OnReset(coordinator);
   revisions_.clear();
   seen_.clear();
   last_lease_ = 0;
   was_full_ = false;
+  history_.clear();
   for (const v1::Job& record : coordinator.ListJobs(0, SIZE_MAX)) {
     if (record.revision().incarnation() <= incarnation_) {
       Fail(absl::StrCat(record.name(), " came back with an old incarnation"));
     }
+    const JobId job = *ParseJobName(record.name());
+    NoteSamples(coordinator, job, INT64_MIN);
+    const auto kept = kept_.find(job);
+    if (kept == kept_.end() || history_[job].empty() || damaged.contains(job)) continue;
+    if (const int64_t samples = history_[job].front().second; samples < kept->second) {
+      Fail(absl::StrCat(record.name(), " comes back with ", samples, " samples; long enough before "
+                        "the server was killed it had ", kept->second));
+    }
   }
+  kept_.clear();
+}
+
+void Checkers::OnCrash(int64_t now_ms) {
+  kept_.clear();
+  // A tick until it is due, what is written before it, and itself; again after a full disk.
+  const int64_t writing_ms = 100 + 50 * static_cast<int64_t>(plan_.jobs.size());
+  const int64_t since_ms = now_ms - plan_.checkpoint_ms - writing_ms;
+  if (since_ms < full_until_ms_ + kDiskRetryMs) return;
+  for (const auto& [job, counts] : history_) {
+    for (const auto& [ms, samples] : counts) {
+      if (ms <= since_ms) kept_[job] = samples;
+    }
+  }
+}
+
+void Checkers::NoteSamples(const Coordinator& coordinator, JobId job, int64_t now_ms) {
+  const absl::StatusOr<v1::Job> record = coordinator.GetJob(job);
+  const std::shared_ptr<const Film> film = coordinator.FilmOf(job);
+  std::vector<std::pair<int64_t, int64_t>>& counts = history_[job];
+  const bool is_under_way = record.ok() && (record->state() == v1::JOB_STATE_QUEUED ||
+                                            record->state() == v1::JOB_STATE_RUNNING ||
+                                            record->state() == v1::JOB_STATE_PAUSED);
+  if (!is_under_way || film == nullptr) return counts.clear();
+  const int64_t samples = film->samples();
+  if (!counts.empty() && samples < counts.back().second) counts.clear();
+  if (counts.empty() || samples > counts.back().second) counts.emplace_back(now_ms, samples);
 }
 
 void Checkers::OnReset(const Coordinator& coordinator) {
@@ -99,6 +137,7 @@ void Checkers::AfterStep(const Coordinator& coordinator, const std::set<JobId>& 
       Fail(absl::StrCat(record->name(), ": revision went back"));
     }
     counter = record->revision().counter();
+    NoteSamples(coordinator, job, now.unix_ms);
     if (steps_ % 16 == 0 && !plan_.is_large) CheckFilm(coordinator, job);
   }
   if (!plan_.is_large || steps_ % 64 == 0) CheckLeases(coordinator, now);

@@ -1,6 +1,7 @@
 // What must hold after every step of a farm, whatever breaks in it.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <map>
 #include <set>
@@ -23,8 +24,13 @@ class Checkers {
     if (violation_.empty()) violation_ = std::move(what);
   }
 
-  // A run of the server has brought its jobs back.
-  void OnRestored(const Coordinator& coordinator);
+  // A run of the server has brought its jobs back, but for the films of those that are `damaged`.
+  void OnRestored(const Coordinator& coordinator, const std::set<JobId>& damaged);
+  // The server is killed. What OnRestored then finds is at the least what each job had counted a
+  // checkpoint's interval before, and the time of writing one.
+  void OnCrash(int64_t now_ms);
+  // Nothing can be written until then.
+  void DiskIsFullUntil(int64_t ms) { full_until_ms_ = std::max(full_until_ms_, ms); }
   // Films have lost samples, as a worker was banned.
   void OnReset(const Coordinator& coordinator);
   // A delta has come, and the coordinator has taken it (it counts).
@@ -42,6 +48,7 @@ class Checkers {
  private:
   void CheckLeases(const Coordinator& coordinator, Instant now);
   void CheckFilm(const Coordinator& coordinator, JobId job);
+  void NoteSamples(const Coordinator& coordinator, JobId job, int64_t now_ms);
 
   // A lease as it was when it last moved.
   struct LeaseSeen {
@@ -59,6 +66,11 @@ class Checkers {
   std::map<LeaseId, LeaseSeen> seen_;
   LeaseId last_lease_ = 0;   // of this incarnation
   bool was_full_ = false;    // nothing may be handed out
+  // Of this incarnation, while it runs or is paused: how many samples each job had since when; the
+  // first are those that it began with. Cleared where samples are dropped on purpose.
+  std::map<JobId, std::vector<std::pair<int64_t, int64_t>>> history_;
+  std::map<JobId, int64_t> kept_;  // at the least, what the next one begins with
+  int64_t full_until_ms_ = INT64_MIN / 2;
   // Of this incarnation: what has been counted, or was in the film that it began with.
   std::map<JobId, std::map<int64_t, std::map<int64_t, int64_t>>> ranges_;  // tile -> begin -> end
 };

@@ -136,7 +136,7 @@ class Farm {
         return server_.Crash(for_us);
       case FaultKind::kDiskFull:
         TraceOf("disk")(absl::StrCat("is full for ", for_us / kMs, " ms"));
-        server_.platter().is_full = true;
+        server_.DiskIsFullFor(for_us);
         time_.After(for_us, [this] { server_.platter().is_full = false; });
         return;
       case FaultKind::kFilmDamaged:

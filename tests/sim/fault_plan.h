@@ -91,6 +91,7 @@ struct FaultPlan {
   int64_t faults_end_us = 0;  // after that nothing breaks any more
   int64_t end_us = 0;         // by then every job has ended
   bool is_large = false;      // 200 workers, 20 jobs
+  bool saves_films = true;    // false is a mistake, for tests of the checkers
 };
 
 inline std::string SimHostName(int worker) { return "host" + std::to_string(worker); }

@@ -79,7 +79,7 @@ class SimServer::Run : public EffectSink {
   // Nothing of it happens any more. Whatever runs in it just now still holds it.
   void Kill() { alive_ = false; }
 
-  Instant Now() const { return {NowMs() + clock_offset_ms_, 1700000000000 + NowMs()}; }
+  Instant Now() const { return {NowMs() + clock_offset_ms_, server_.UnixMs()}; }
   const CoordinatorHost& host() const { return host_; }
   JobRequests& requests() { return requests_; }
   std::shared_ptr<const std::string> FilterInput(const std::string& worker, LeaseId lease) const {
@@ -150,7 +150,9 @@ class SimServer::Run : public EffectSink {
   void On(const JobChangedEffect& e) { changed_.insert(e.job); }
   void On(const TileChangedEffect&) {}
   void On(const FilterAnswerEffect& e) { desk_.Answer(e); }
-  void On(const SaveJobEffect& e) { saver_.Save(e.job, e.with_film); }
+  void On(const SaveJobEffect& e) {
+    saver_.Save(e.job, e.with_film && server_.plan_.saves_films);
+  }
   void On(const BanEffect& e) {
     server_.trace_(absl::StrCat("bans ", e.host));
     saver_.SaveBan(e.host, e.reason);
@@ -288,9 +290,13 @@ SimServer::~SimServer() = default;
 void SimServer::Start() {
   if (run_ != nullptr) return;
   run_ = std::make_shared<Run>(*this, ++platter_.incarnation);
+  std::set<JobId> damaged;
+  for (const auto& [job, film] : platter_.films) {
+    if (film.damaged) damaged.insert(job);
+  }
   trace_(absl::StrCat("starts, incarnation ", run_->id()));
   if (absl::Status status = run_->Restore(); !status.ok()) checkers_.Fail(status.ToString());
-  run_->host().Read([this](const Coordinator& c) { checkers_.OnRestored(c); });
+  run_->host().Read([&](const Coordinator& c) { checkers_.OnRestored(c, damaged); });
   Settle();
   Tick(run_->id());
 }
@@ -298,10 +304,16 @@ void SimServer::Start() {
 void SimServer::Crash(int64_t for_us) {
   if (run_ == nullptr) return;
   trace_("is killed");
+  checkers_.OnCrash(UnixMs());
   run_->Kill();
   run_.reset();
   network_->ServerDied();
   time_.After(for_us, [this] { Start(); });
+}
+
+void SimServer::DiskIsFullFor(int64_t for_us) {
+  platter_.is_full = true;
+  checkers_.DiskIsFullUntil(UnixMs() + for_us / kMs);
 }
 
 void SimServer::Tick(uint64_t run) {

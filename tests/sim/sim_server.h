@@ -31,6 +31,7 @@ class SimServer {
 
   void Start();
   void Crash(int64_t for_us);
+  void DiskIsFullFor(int64_t for_us);
   bool is_up() const { return run_ != nullptr; }
 
   // Network.
@@ -51,6 +52,7 @@ class SimServer {
  private:
   class Run;
   void Tick(uint64_t run);
+  int64_t UnixMs() const { return 1700000000000 + time_.now_us() / kMs; }
 
   const FaultPlan& plan_;
   VirtualTime& time_;

@@ -141,6 +141,18 @@ TEST(HungBuild, MistakesAreFound) {
   EXPECT_NE(Simulate(no_end).violation.find("has not ended"), std::string::npos);
 }
 
+// A server that is killed amid a long job, long after its first checkpoint.
+TEST(Checkpoints, AMissingOneIsFound) {
+  FaultPlan plan = CalmPlan();
+  for (WorkerPlan& worker : plan.workers) worker.samples_per_ms = 0.05;
+  plan.checkpoint_ms = 5000;
+  plan.end_us = 3000 * kSecond;
+  plan.faults.push_back({FaultKind::kServerCrash, 30 * kSecond, kSecond, 0});
+  EXPECT_EQ(Simulate(plan).violation, "");
+  plan.saves_films = false;
+  EXPECT_NE(Simulate(plan).violation.find("long enough before"), std::string::npos);
+}
+
 // Seeds that found something, each with what it found. Targeted tests go with them.
 TEST(Regressions, Hold) {
   // A lost JobSpec: the leases of its job were declined for ever (REASON_UNKNOWN_JOB).
