@@ -82,7 +82,9 @@ void JobSaver::Stop() {
   const auto jobs = host_->Read([](const Coordinator& c) { return c.ListJobs(0, SIZE_MAX); });
   for (const v1::Job& job : jobs) {
     if (HasEnded(job) || job.progress().samples() == 0) continue;
-    Write(*ParseJobName(job.name()), {.film = job.state() == v1::JOB_STATE_RUNNING});
+    const bool may_have_grown =
+        job.state() == v1::JOB_STATE_RUNNING || job.state() == v1::JOB_STATE_PAUSED;
+    Write(*ParseJobName(job.name()), {.film = may_have_grown});
   }
 }
 

@@ -50,9 +50,10 @@ void Coordinator::On(TickEvent& event) {
   NoteIngest(event.ingest_load);
   TakeWait();
   for (auto& [id, job] : jobs_) {
-    if (!job->IsOpen()) continue;
-    CheckTime(*job);
-    if (job->film_changed &&
+    if (job->IsOpen()) CheckTime(*job);
+    // A paused one takes what was on its way.
+    const bool may_grow = job->IsOpen() || job->record.state() == v1::JOB_STATE_PAUSED;
+    if (may_grow && job->film_changed &&
         now_.monotonic_ms - job->saved_film_ms >= config_.checkpoint_interval_ms) {
       Save(*job, true);
     }

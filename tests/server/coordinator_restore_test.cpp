@@ -182,6 +182,20 @@ TEST(CoordinatorRestore, ACancelledJobTellsWhatItsOlderFilmHas) {
   EXPECT_FALSE(empty.Job(job).has_sample_counts());
 }
 
+TEST(CoordinatorRestore, WhatComesAfterAPauseGetsACheckpointToo) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings());
+  const SessionId session = farm.Connect();
+  const v1::Lease under_way = farm.workers[session].leases.front();
+  ASSERT_TRUE(farm.Command(JobCommand::kPause, job).ok());
+  farm.Post(farm.Render(session, under_way));
+  ASSERT_GT(farm.Job(job).progress().samples(), 0);
+  farm.saved.clear();
+  farm.now_ms += SmallConfig().checkpoint_interval_ms;
+  farm.Post(TickEvent{});
+  EXPECT_EQ(farm.saved, std::vector<JobId>{job});
+}
+
 // A checkpoint that began before the end holds several moments, whatever its number of samples.
 TEST(CoordinatorRestore, AFilmStaysInMemoryUntilItsEndIsStored) {
   SimulatedFarm farm;
