@@ -44,7 +44,13 @@ class SyntheticWorker {
     v1::CoordinatorMessage message;
     std::map<std::string, v1::JobSettings> specs;
     while (stream_->Read(&message)) {
-      if (message.has_job()) specs[message.job().job()] = message.job().settings();
+      if (message.has_job()) {
+        specs[message.job().job()] = message.job().settings();
+        v1::WorkerMessage built;
+        built.mutable_scene_ready()->set_job(message.job().job());
+        built.mutable_scene_ready()->mutable_report()->set_triangles(12);
+        stream_->Write(built);
+      }
       if (!message.has_lease()) continue;
       const v1::Lease& lease = message.lease();
       v1::WorkerMessage answer;

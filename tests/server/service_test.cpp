@@ -278,6 +278,64 @@ TEST_F(ServiceTest, JobsSurviveARestart) {
   std::filesystem::remove_all(options.data_dir);
 }
 
+// A watch of changes goes on at the revision that it had of a server that is no more.
+TEST_F(ServiceTest, AWatchResumedAfterARestartBeginsWithTheWholeJob) {
+  ServiceOptions options;
+  options.data_dir = testing::TempDir() + "/watch-" + std::to_string(::getpid());
+  std::filesystem::remove_all(options.data_dir);
+  StartService(options);
+  v1::Job created, seen, job;
+  ASSERT_TRUE(Create(UploadedSettings(1 << 20), &created).ok());
+  const auto watch = [&](grpc::ClientContext* context, const v1::Revision& from) {
+    v1::WatchJobRequest request;
+    request.set_name(created.name());
+    request.set_only_changes(true);
+    request.mutable_min_interval()->set_nanos(1);
+    *request.mutable_from_revision() = from;
+    return jobs->WatchJob(context, request);
+  };
+  {
+    grpc::ClientContext context, pause_context;
+    const auto before = watch(&context, {});
+    SyntheticWorker worker(channel);
+    while (!(seen.has_scene() && job.progress().samples() > 0) && before->Read(&job)) {
+      seen.MergeFrom(job);
+    }
+    v1::PauseJobRequest pause;
+    pause.set_name(created.name());
+    ASSERT_TRUE(jobs->PauseJob(&pause_context, pause, &job).ok());
+    service->Shutdown();
+    while (before->Read(&job)) {
+    }
+    EXPECT_EQ(before->Finish().error_code(), grpc::UNAVAILABLE) << "that it may be resumed";
+  }
+  service.reset();
+  StartService(options);
+  // It may have heard of more changes than the new server has made so far.
+  v1::Revision from = job.revision();
+  from.set_counter(from.counter() + 1000);
+  grpc::ClientContext context, cancel_context;
+  const auto after = watch(&context, from);
+  v1::Job last;
+  ASSERT_TRUE(after->Read(&last));
+  EXPECT_EQ(last.state(), v1::JOB_STATE_PAUSED);
+  EXPECT_GT(last.progress().samples(), 0);
+  EXPECT_EQ(last.revision().incarnation(), from.incarnation() + 1);
+  EXPECT_EQ(last.settings().SerializeAsString(), created.settings().SerializeAsString());
+  EXPECT_EQ(last.scene().triangles(), 12);
+  v1::CancelJobRequest cancel;
+  cancel.set_name(created.name());
+  ASSERT_TRUE(jobs->CancelJob(&cancel_context, cancel, &job).ok());
+  for (v1::Job next; after->Read(&next); last = next) {
+    EXPECT_EQ(next.revision().incarnation(), last.revision().incarnation());
+    EXPECT_GT(next.revision().counter(), last.revision().counter());
+    EXPECT_FALSE(next.has_settings() || next.has_scene()) << "they are known";
+  }
+  EXPECT_TRUE(after->Finish().ok());
+  EXPECT_EQ(last.state(), v1::JOB_STATE_CANCELLED);
+  std::filesystem::remove_all(options.data_dir);
+}
+
 TEST_F(ServiceTest, ALostFilmIsSaidToBeLost) {
   ServiceOptions options;
   options.data_dir = testing::TempDir() + "/lost-" + std::to_string(::getpid());
