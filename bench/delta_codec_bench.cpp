@@ -1,4 +1,5 @@
 // Bytes per pixel of deltas, and nanoseconds per pixel to fold, encode, decode and merge them.
+// What passing a film through memory takes is beside them (PassThroughMemory).
 // Synthetic tiles: lognormal radiance over textured, tilted surfaces with an edge. A real delta:
 //   delta_codec_bench --delta=FILE,WIDTH,HEIGHT,BEGIN,END,F
 // (FILE: the bytes of TileDelta.payload; F: its feature_end)
@@ -107,6 +108,19 @@ void Merge(benchmark::State& state) {
   SetPerPixel(state, left.num_pixels());
 }
 
+// What any fold of a film larger than the caches takes at least: each byte of a pixel is read and
+// written once.
+void PassThroughMemory(benchmark::State& state) {
+  constexpr int64_t kNumPixels = 512 << 10;
+  constexpr int64_t kNumPlanes = kNumHalves * (kNumFloatPlanes + int{kNumCountPlanes});
+  std::vector<float> film(static_cast<size_t>(kNumPixels * kNumPlanes));
+  for (auto _ : state) {
+    for (float& value : film) value += 1.0f;
+    benchmark::ClobberMemory();
+  }
+  SetPerPixel(state, kNumPixels);
+}
+
 // Arguments: samples, and where features end.
 void AddSamples(benchmark::State& state) {
   const int64_t num_samples = state.range(0), feature_end = state.range(1);
@@ -124,6 +138,7 @@ void AddSamples(benchmark::State& state) {
 }
 
 BENCHMARK(Merge)->Arg(16)->Arg(kAllFeatures)->Iterations(20000);
+BENCHMARK(PassThroughMemory);
 BENCHMARK(AddSamples)
     ->Args({4, kAllFeatures})
     ->Args({16, kAllFeatures})

@@ -25,6 +25,7 @@ double NoiseOf(const TileStatistics& tile) {
       msds[half][channel] = tile.Floats(half, kRadianceMsd + channel).data();
     }
   }
+  const float first_share = first / count, second_share = second / count;
   const float difference_weight = first * second / count;
   // A vector of pixels after the other; sums of their own keep the additions apart.
   std::array<double, kLanes> sums = {};
@@ -41,7 +42,7 @@ double NoiseOf(const TileStatistics& tile) {
       const float* const msd_a = msds[0][channel] + begin;
       const float* const msd_b = msds[1][channel] + begin;
       for (size_t i = 0; i < num_lanes; ++i) {
-        const float mean = (first * mean_a[i] + second * mean_b[i]) / count;
+        const float mean = first_share * mean_a[i] + second_share * mean_b[i];
         const float difference = mean_a[i] - mean_b[i];
         // Chan, Golub & LeVeque 1983: squared deviations of two sets joined.
         variance[i] +=
