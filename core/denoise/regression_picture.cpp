@@ -146,6 +146,27 @@ void WritePixel(const Filtered& filtered, const PooledErrors& pooled, int x, int
   }
 }
 
+// Whether every sample of the 3x3 pixels around (x, y) has seen the same background, so that there
+// is nothing left to estimate: a fit among noisy pixels would bring their light here. Where
+// something was hit the samples are a few of many paths, and may agree by chance. (Images without
+// depth do not tell of hits: there, what looks so counts.)
+bool IsEvenBackground(const FramePlanes& planes, int x, int y) {
+  const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
+  const PixelRect near = PixelRect::FromSize(x, y, 1, 1).Expand(1).Intersect(planes.bounds);
+  for (int near_y = near.y_begin; near_y < near.y_end; ++near_y) {
+    for (int near_x = near.x_begin; near_x < near.x_end; ++near_x) {
+      const auto q = static_cast<size_t>(planes.bounds.IndexOf(near_x, near_y));
+      if (planes.samples[q] < 2 || planes.depth[q] != 0) return false;
+      for (size_t c = 0; c < 3; ++c) {
+        if (planes.sample_variance_of_mean[c][q] != 0 || planes.color[c][q] != planes.color[c][p]) {
+          return false;
+        }
+      }
+    }
+  }
+  return true;
+}
+
 // Writes the pixel (x, y) that stays raw.
 void WriteRaw(const FramePlanes& planes, int x, int y, FilteredPlanes* out) {
   const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
@@ -174,7 +195,7 @@ FilteredPlanes BlendAndJudge(const FramePlanes& planes, const PixelRect& frame,
   for (int y = window.y_begin; y < window.y_end; ++y) {
     for (int x = window.x_begin; x < window.x_end; ++x, ++w) {
       const auto p = static_cast<size_t>(planes.bounds.IndexOf(x, y));
-      bool is_raw = planes.samples[p] < 2;
+      bool is_raw = planes.samples[p] < 2 || IsEvenBackground(planes, x, y);
       for (size_t c = 0; c < 3; ++c) is_raw |= !(planes.color[c][p] < kRegressionValueMax);
       is_raw ? WriteRaw(planes, x, y, &out) : WritePixel(filtered, errors, x, y, w, &out);
     }

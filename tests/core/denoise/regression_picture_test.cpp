@@ -64,5 +64,46 @@ TEST(BlendAndJudge, PixelsWithoutSamplesAreUnknown) {
   EXPECT_TRUE(std::isfinite(out.error[1][hole + 1]));
 }
 
+// Black seen by every sample of 3x3 pixels, with nothing hit, is black; a surface may have been
+// missed by chance, and so may a wire beside the pixel.
+TEST(BlendAndJudge, EvenBackgroundStaysAsSampled) {
+  SyntheticFrame frame = MakeSyntheticFrame(kBounds, 0.3f, 4, 7);
+  Candidates candidates = {NearTruth(frame, 0.1f), NearTruth(frame, 0.1f)};
+  constexpr int kRow = 20;
+  constexpr float kLeaked = 0.01f;
+  // As narrow as it may be: the noise around tells that the passes are better than the raw mean.
+  for (int y = kRow - 1; y <= kRow + 1; ++y) {
+    for (int x = 0; x < kBounds.x_end; ++x) {
+      const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
+      frame.planes.depth[i] = x < 24 ? 0.0f : 2.0f;
+      for (size_t c = 0; c < 3; ++c) {
+        frame.planes.color[c][i] = 0;
+        frame.planes.sample_variance_of_mean[c][i] = 0;
+        frame.planes.variance[c][i] = 0;
+        for (PassOutput& pass : candidates) {
+          const auto to = static_cast<size_t>(pass.bounds.IndexOf(x, y));
+          for (Planes3& color : pass.color) color[c][to] = kLeaked;
+        }
+        for (size_t half = 0; half < kNumHalves; ++half) frame.planes.color_half[half][c][i] = 0;
+      }
+    }
+  }
+  const auto wire = static_cast<size_t>(kBounds.IndexOf(8, kRow));
+  frame.planes.depth[wire] = 2.0f;
+  const FilteredPlanes out =
+      BlendAndJudge(frame.planes, kBounds, candidates, candidates, kBounds, {});
+  const auto at = [&](int x, int y) {
+    return out.color[1][static_cast<size_t>(kBounds.IndexOf(x, y))];
+  };
+  EXPECT_EQ(at(16, kRow), 0);
+  EXPECT_EQ(at(0, kRow), 0) << "at the border";
+  EXPECT_EQ(out.error[1][static_cast<size_t>(kBounds.IndexOf(16, kRow))], 0);
+  float beside_noise = 0;
+  for (int x = 0; x < 24; ++x) beside_noise += at(x, kRow - 1);
+  EXPECT_GT(beside_noise, 0);
+  EXPECT_GT(at(7, kRow), 0) << "a wire beside it";
+  EXPECT_GT(at(36, kRow), 0) << "a surface";
+}
+
 }  // namespace
 }  // namespace tessera
