@@ -32,12 +32,27 @@ std::vector<int64_t> TileGrid::TilesIn(const PixelRect& rect) const {
   return tiles;
 }
 
+namespace {
+
+// The first `part` of `parts` equal parts of a length, rounded down.
+int Share(int length, int part, int parts) {
+  return static_cast<int>(int64_t{length} * part / parts);
+}
+
+}  // namespace
+
 std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows, int size_px) {
   std::vector<PixelRect> parts;
   for (const PixelRect& window : windows) {
-    for (int y = window.y_begin; y < window.y_end; y += size_px) {
-      for (int x = window.x_begin; x < window.x_end; x += size_px) {
-        parts.push_back(PixelRect::FromSize(x, y, size_px, size_px).Intersect(window));
+    if (window.empty()) continue;
+    const int columns = (window.width() + size_px - 1) / size_px;
+    const int rows = (window.height() + size_px - 1) / size_px;
+    for (int row = 0; row < rows; ++row) {
+      for (int column = 0; column < columns; ++column) {
+        parts.push_back({window.x_begin + Share(window.width(), column, columns),
+                         window.y_begin + Share(window.height(), row, rows),
+                         window.x_begin + Share(window.width(), column + 1, columns),
+                         window.y_begin + Share(window.height(), row + 1, rows)});
       }
     }
   }

@@ -33,7 +33,8 @@ class TileGrid {
   int num_rows_ = 0;
 };
 
-// Cuts each window into parts of at most size_px x size_px pixels, row by row. size_px >= 1.
+// Cuts each window into as few parts of at most size_px x size_px pixels as there can be, of about
+// one size, row by row. size_px >= 1.
 std::vector<PixelRect> SplitWindows(std::span<const PixelRect> windows, int size_px);
 
 }  // namespace tessera

@@ -15,10 +15,11 @@ namespace tessera {
 namespace {
 
 // Sides of what is made at once: large against what is read around it, small against the memory of
-// its scratch (some 200 bytes a pixel).
+// its scratch: some 200 bytes a pixel, of the picture 400. The picture's is what news in a tile of
+// 64x64 reach.
 constexpr int kFeaturePartPx = 256;
 constexpr int kPassPartPx = 256;
-constexpr int kPicturePartPx = 128;
+constexpr int kPicturePartPx = 208;
 
 // Copies what of `rect` lies in both bounds.
 void Copy(const PixelRect& from_bounds, const Plane& from, const PixelRect& rect,
