@@ -53,6 +53,33 @@ int Percent(const v1::JobProgress& progress) {
                           static_cast<double>(progress.samples_total()));
 }
 
+double WorkSeconds(const v1::Job& job) {
+  return 1e-3 * static_cast<double>(TimeUtil::DurationToMilliseconds(job.progress().work_time()));
+}
+
+// Since the job's first lease, on the mean; 0 = nothing to divide yet.
+double SamplesPerSecond(const v1::Job& job) {
+  const double seconds = WorkSeconds(job);
+  return seconds > 0 ? static_cast<double>(job.progress().samples()) / seconds : 0;
+}
+
+// Of a job under way at its mean rate so far, if it takes all its samples; -1 = not known.
+double SecondsLeft(const v1::Job& job) {
+  const double rate = SamplesPerSecond(job);
+  if (job.state() != v1::JOB_STATE_RUNNING || rate <= 0) return -1;
+  const int64_t left = job.progress().samples_total() - job.progress().samples();
+  return static_cast<double>(std::max<int64_t>(0, left)) / rate;
+}
+
+std::string SecondsText(double seconds) { return absl::StrFormat("%.0f s", seconds); }
+
+std::string LastSeenText(const v1::Worker& worker) {
+  if (!worker.has_last_seen_time()) return "-";
+  std::string text = TimeUtil::ToString(
+      TimeUtil::SecondsToTimestamp(TimeUtil::TimestampToSeconds(worker.last_seen_time())));
+  return text.size() > 11 ? text.substr(11) : text;  // "12:34:56Z", without the day
+}
+
 }  // namespace
 
 std::string StateWord(v1::JobState state) {
@@ -86,6 +113,11 @@ ordered_json JobJson(const v1::Job& job) {
   json["rel_rmse"] = progress.estimated_error();
   json["workers"] = progress.workers();
   json["priority"] = job.settings().priority();
+  json["owner"] = job.owner();
+  json["work_seconds"] = WorkSeconds(job);
+  json["samples_per_second"] = SamplesPerSecond(job);
+  const double left = SecondsLeft(job);
+  json["seconds_left"] = left < 0 ? ordered_json(nullptr) : ordered_json(left);
   json["max_depth"] = job.has_max_depth() ? ordered_json(job.max_depth()) : ordered_json(nullptr);
   json["auto_depth"] = job.settings().auto_depth();
   json["isa"] = job.settings().isa();
@@ -112,6 +144,7 @@ ordered_json WorkerJson(const v1::Worker& worker) {
   json["leases"] = worker.leases();
   json["filter_leases"] = worker.filter_leases();
   json["filtered_windows"] = worker.filtered_windows();
+  json["crashes"] = worker.crashes();
   json["samples"] = worker.samples();
   json["samples_per_second"] = worker.samples_per_second();
   json["draining"] = worker.draining();
@@ -137,17 +170,19 @@ std::string JobRow(const v1::Job& job) {
 }
 
 std::string WorkerRowHeading() {
-  return absl::StrFormat("%-12s %-24s %8s %7s %7s %14s %8s  %-8s  %s", "WORKER", "HOST",
-                         "PROCESS", "THREADS", "LEASES", "SAMPLES/S", "FILTERED", "STATE",
-                         "ARITHMETIC");
+  return absl::StrFormat("%-12s %-24s %8s %7s %10s %7s %14s %8s %7s  %-9s  %-8s  %-9s  %s",
+                         "WORKER", "HOST", "PROCESS", "THREADS", "MEMORY", "LEASES", "SAMPLES/S",
+                         "FILTERED", "CRASHES", "LAST SEEN", "STATE", "VERSION", "ARITHMETIC");
 }
 
 std::string WorkerRow(const v1::Worker& worker) {
-  return absl::StrFormat("%-12s %-24s %8d %7d %7d %14.0f %8d  %-8s  %s", worker.name(),
-                         worker.host(), worker.process_id(), worker.threads(),
-                         worker.leases() + worker.filter_leases(), worker.samples_per_second(),
-                         worker.filtered_windows(), worker.draining() ? "draining" : "serving",
-                         ArithmeticText(worker));
+  return absl::StrFormat(
+      "%-12s %-24s %8d %7d %10s %7d %14.0f %8d %7d  %-9s  %-8s  %-9s  %s", worker.name(),
+      worker.host(), worker.process_id(), worker.threads(),
+      worker.memory_bytes() > 0 ? FormatBytes(worker.memory_bytes()) : "-",
+      worker.leases() + worker.filter_leases(), worker.samples_per_second(),
+      worker.filtered_windows(), worker.crashes(), LastSeenText(worker),
+      worker.draining() ? "draining" : "serving", worker.version(), ArithmeticText(worker));
 }
 
 std::string JobDetails(const v1::Job& job) {
@@ -171,7 +206,16 @@ std::string JobDetails(const v1::Job& job) {
   if (progress.estimated_error() > 0) {
     add("error", absl::StrFormat("%.3g (estimated relative RMSE)", progress.estimated_error()));
   }
+  add("owner", job.owner());
+  add("priority", absl::StrCat(job.settings().priority()));
   add("workers", absl::StrCat(progress.workers()));
+  if (SamplesPerSecond(job) > 0) {
+    add("running", SecondsText(WorkSeconds(job)));
+    add("rate", absl::StrFormat("%.0f samples/s", SamplesPerSecond(job)));
+  }
+  if (SecondsLeft(job) >= 0) {
+    add("left", absl::StrCat(SecondsText(SecondsLeft(job)), " at this rate, at most"));
+  }
   if (job.has_scene()) {
     add("triangles", absl::StrCat(job.scene().triangles()));
     add("memory", FormatBytes(job.scene().memory_bytes()));
