@@ -121,6 +121,7 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
                  "Authority (PEM) whose certificates workers must have");
   app.add_option("--token-file", service.token_file,
                  "Lines of ROLE NAME TOKEN, role = view, submit, admin or worker: asks for tokens");
+  app.add_flag("--verbose", arguments.verbose, "Logs each lease and each delta");
   app.add_flag("--insecure", service.insecure, "Allows plaintext on other than loopback addresses");
   ReadFlagsFromEnvironment(app);
 }

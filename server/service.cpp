@@ -15,6 +15,7 @@
 #include "proto/channel/server_address.h"
 #include "server/coordinator/limits.h"
 #include "server/coordinator_host.h"
+#include "server/event_log.h"
 #include "server/http/http_server.h"
 #include "server/job_saver.h"
 #include "server/log.h"
@@ -118,12 +119,16 @@ class Service::Impl : public EffectSink {
   // coordinator was busy; whichever is greater.
   double IngestLoad();
 
-  void On(const SendEffect& e) { sessions_->Send(e.session, e.message); }
+  void On(const SendEffect& e) {
+    LogSent(e);
+    sessions_->Send(e.session, e.message);
+  }
   void On(const CloseSessionEffect& e) { sessions_->End(e.session, e.status); }
   void On(const JobChangedEffect& e) { watchers_->Notify(e.job); }
   void On(const TileChangedEffect& e) { pictures_->TileChanged(e.job, e.tile); }
   void On(const SaveJobEffect& e) { saver_->Save(e.job, e.with_film); }
   void On(const BanEffect& e) {
+    ServerLog().warn("host={} is banned: {}", e.host, e.reason);
     saver_->SaveBan(e.host, e.reason);
     pictures_->Distrust(e.host);  // what it has filtered is filtered again
   }
@@ -265,8 +270,15 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   config_.film_bytes_max = HalfOfMemory();
   saver_ = std::make_unique<JobSaver>(catalogue_.get(), films_.get(), assets_.get());
   sessions_ = std::make_unique<WorkerSessions>([this](Event event) {
+    const auto* const delta = std::get_if<DeltaEvent>(&event);
+    std::string line;
+    if (delta != nullptr && ServerLog().should_log(spdlog::level::debug)) line = LineOf(*delta);
     const absl::Status status = host_->Post(std::move(event)).status;
-    if (!status.ok()) ServerLog().debug("worker event: {}", status.ToString());
+    if (!line.empty()) {
+      LogDelta(line, status);
+    } else if (!status.ok()) {
+      ServerLog().debug("worker event: {}", status.ToString());
+    }
   }, options.audit_rate > 0, [this](JobId job, int64_t tile_index, SampleRange range) {
     return host_->TryRead([&](const Coordinator& c) {
       const std::shared_ptr<const Film> film = c.FilmOf(job);

@@ -40,7 +40,7 @@ uint64_t SessionMachine::EndTask(uint64_t task) {
 
 void SessionMachine::SendResult(uint64_t lease_id, v1::WorkerMessage message) {
   leases_[lease_id].rendered = true;
-  LogLine(absl::StrCat("lease ", lease_id, message.has_filtered() ? " filtered" : " rendered"),
+  LogLine(absl::StrCat("lease=", lease_id, message.has_filtered() ? " filtered" : " rendered"),
           LogLevel::kDebug);
   deltas_.push_back(std::move(message));
 }

@@ -305,7 +305,7 @@ void SessionMachine::On(const session_event::Timer&) {
 void SessionMachine::On(const session_event::DrainRequested&) {
   if (draining_) return;
   draining_ = true;
-  LogLine(absl::StrCat("draining: ", leases_.size() - waiting_.size(), " leases to finish"));
+  LogLine(absl::StrCat("leases=", leases_.size() - waiting_.size(), " draining"));
   if (phase_ == Phase::kServing) return;  // FinishDrain
   if (stream_open_) {
     CloseFor("draining");
@@ -437,7 +437,7 @@ void SessionMachine::CloseFor(const std::string& why) {
 
 void SessionMachine::Decline(uint64_t lease_id, v1::DeclineLease::Reason reason,
                              const std::string& detail) {
-  LogLine(absl::StrCat("declining lease ", lease_id, ": ", detail), LogLevel::kDebug);
+  LogLine(absl::StrCat("lease=", lease_id, " declined: ", detail), LogLevel::kDebug);
   v1::DeclineLease* decline = control_.emplace_back().mutable_decline();
   decline->set_lease_id(lease_id);
   decline->set_reason(reason);

@@ -80,9 +80,9 @@ void SessionMachine::On(session_event::SceneBuilt& event) {
   switch (scene.outcome.kind) {
     case BuildOutcome::Kind::kReady: {
       const int64_t bytes = scene.outcome.report.memory_bytes();
-      LogLine(absl::StrCat("scene ", event.scene.substr(0, 12),
-                           " built: ", scene.outcome.report.triangles(), " triangles, ",
-                           bytes >> 20, " MiB, ", scene.outcome.report.load_seconds(), " s"));
+      LogLine(absl::StrCat("scene=", event.scene.substr(0, 12),
+                           " triangles=", scene.outcome.report.triangles(), " mib=", bytes >> 20,
+                           " seconds=", scene.outcome.report.load_seconds(), " built"));
       if (options_.memory_bytes > 0 && bytes > options_.memory_bytes) {
         Emit(DropScene{event.scene});
         scene.state = SceneEntry::State::kFailed;
@@ -101,7 +101,7 @@ void SessionMachine::On(session_event::SceneBuilt& event) {
     }
     case BuildOutcome::Kind::kMemory:
     case BuildOutcome::Kind::kScene:
-      LogLine(absl::StrCat("scene ", event.scene.substr(0, 12), ": ", scene.outcome.detail),
+      LogLine(absl::StrCat("scene=", event.scene.substr(0, 12), " failed: ", scene.outcome.detail),
               LogLevel::kWarning);
       scene.state = SceneEntry::State::kFailed;
       break;
