@@ -116,6 +116,21 @@ void AddWorkers(const std::vector<v1::Worker>& workers, Families& out) {
     out.Value(static_cast<double>(worker.samples()),
               {{"worker", worker.name()}, {"host", worker.host()}});
   }
+  const auto add = [&](const std::string& name, const std::string& help, auto value) {
+    out.Add(name, help, MetricType::Gauge);
+    for (const v1::Worker& worker : workers) {
+      out.Value(static_cast<double>(value(worker)),
+                {{"worker", worker.name()}, {"host", worker.host()}});
+    }
+  };
+  add("tessera_worker_leases", "Units and windows that it has, by worker",
+      [](const v1::Worker& worker) { return worker.leases() + worker.filter_leases(); });
+  add("tessera_worker_render_threads", "Its threads, by worker",
+      [](const v1::Worker& worker) { return worker.threads(); });
+  add("tessera_worker_samples_per_second", "Mean since it connected, by worker",
+      [](const v1::Worker& worker) { return worker.samples_per_second(); });
+  add("tessera_worker_crashes", "Of the processes before this one, by worker",
+      [](const v1::Worker& worker) { return worker.crashes(); });
 }
 
 }  // namespace

@@ -2,6 +2,10 @@
 
 #include <cstring>
 #include <filesystem>
+#include <fstream>
+#include <regex>
+#include <set>
+#include <sstream>
 
 #include <gmock/gmock.h>
 #include <httplib.h>
@@ -245,6 +249,35 @@ TEST_F(ServiceTest, MetricsCountWhatHappened) {
   EXPECT_THAT(text, HasSubstr(absl::StrCat("\ntessera_samples_total ", samples, "\n")));
   EXPECT_THAT(text, HasSubstr("host=\"synthetic\"} " + std::to_string(samples)));
   EXPECT_THAT(text, HasSubstr("# TYPE tessera_first_picture_seconds summary"));
+}
+
+// Names of the server's metrics in a text, without the suffixes of a summary's lines.
+std::set<std::string> MetricNames(const std::string& text, const std::string& pattern) {
+  std::set<std::string> names;
+  const std::regex regex(pattern);
+  for (auto it = std::sregex_iterator(text.begin(), text.end(), regex);
+       it != std::sregex_iterator(); ++it) {
+    names.insert((*it)[1]);
+  }
+  return names;
+}
+
+TEST_F(ServiceTest, TheManualListsEveryMetricAndNoOther) {
+  std::ifstream file(std::string(TESSERA_DOCS) + "/operations.md");
+  std::stringstream manual;
+  manual << file.rdbuf();
+  std::string text = manual.str();
+  const size_t begin = text.find("`GET /metrics`");
+  ASSERT_NE(begin, std::string::npos);
+  text = text.substr(begin, text.find("`GET /healthz`") - begin);
+  StartService();
+  SyntheticWorker worker(channel);  // families without a value are not written
+  v1::Job job, last;
+  ASSERT_TRUE(Create(UploadedSettings(1), &job).ok());
+  Watch(job.name(), &last);
+  httplib::Client client("127.0.0.1", service->http_port());
+  EXPECT_EQ(MetricNames(text, "`((?:tessera|process)_[a-z_]+)(?:\\{[a-z,]+\\})?`"),
+            MetricNames(client.Get("/metrics")->body, "# TYPE ([a-z_]+) "));
 }
 
 TEST_F(ServiceTest, JobsSurviveARestart) {
