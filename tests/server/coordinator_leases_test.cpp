@@ -44,6 +44,56 @@ TEST(CoordinatorLeases, ARenderThatDoesNoSamplesLosesItsLeaseWhileItsSessionLive
   EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(SmallSettings(2), 2));
 }
 
+TEST(CoordinatorLeases, JobsOfOnePriorityHaveEqualSharesOfSamples) {
+  SimulatedFarm farm;
+  std::vector<JobId> jobs;
+  for (int i = 0; i < 3; ++i) jobs.push_back(farm.Create(SmallSettings(256)));
+  // Many leases for each job: shares are kept of what is under way.
+  const SessionId worker = farm.Connect(24);
+  // To the middle: nobody has run out of work yet.
+  const int64_t all = farm.Job(jobs[0]).progress().samples_total();
+  const auto samples = [&](JobId job) { return farm.Job(job).progress().samples(); };
+  while (samples(jobs[0]) + samples(jobs[1]) + samples(jobs[2]) < 3 * all / 2) {
+    ASSERT_TRUE(farm.RenderOne(worker));
+  }
+  const auto [least, most] = std::ranges::minmax(jobs, {}, samples);
+  EXPECT_LE(static_cast<double>(samples(most)), 1.2 * static_cast<double>(samples(least)));
+}
+
+TEST(CoordinatorLeases, TheNinthJobOfOnePriorityWaits) {
+  SimulatedFarm farm;
+  std::vector<JobId> jobs;
+  for (int i = 0; i < 9; ++i) jobs.push_back(farm.Create(SmallSettings(16)));
+  const SessionId worker = farm.Connect(16);
+  const auto samples = [&](JobId job) { return farm.Job(job).progress().samples(); };
+  const auto has_begun = [&](JobId job) { return samples(job) > 0; };
+  const auto is_done = [&](JobId job) { return farm.Job(job).state() == v1::JOB_STATE_DONE; };
+  bool eight_shared = false;
+  while (std::ranges::none_of(jobs, is_done)) {
+    EXPECT_EQ(samples(jobs[8]), 0);
+    ASSERT_TRUE(farm.RenderOne(worker));
+    eight_shared = eight_shared || std::all_of(jobs.begin(), jobs.end() - 1, has_begun);
+  }
+  EXPECT_TRUE(eight_shared) << "before any of them was done";
+  farm.RunAll();
+  EXPECT_TRUE(std::ranges::all_of(jobs, is_done));
+}
+
+TEST(CoordinatorLeases, AHigherPriorityIsServedFirst) {
+  SimulatedFarm farm;
+  const JobId low = farm.Create(SmallSettings(16));
+  v1::JobSettings urgent = SmallSettings(16);
+  urgent.set_priority(1);
+  const JobId high = farm.Create(urgent);
+  const SessionId worker = farm.Connect(2);
+  while (farm.Job(high).state() != v1::JOB_STATE_DONE) {
+    EXPECT_EQ(farm.Job(low).progress().samples(), 0);
+    ASSERT_TRUE(farm.RenderOne(worker));
+  }
+  farm.RunAll();
+  EXPECT_EQ(farm.Job(low).state(), v1::JOB_STATE_DONE);
+}
+
 TEST(CoordinatorLeases, ASlowRenderKeepsItsLease) {
   SimulatedFarm farm;
   farm.Create(SmallSettings(2));
