@@ -10,6 +10,10 @@ namespace {
 // "jobs/7" is "7": lines of the log say job=7.
 absl::string_view NumberOf(absl::string_view name) { return absl::StripPrefix(name, "jobs/"); }
 
+std::string TextOf(const Unit& unit) {
+  return absl::StrCat("tile=", unit.tile, " samples=", unit.range.begin, "..", unit.range.end);
+}
+
 }  // namespace
 
 std::string LineOf(const SendEffect& effect) {
@@ -41,9 +45,29 @@ std::string LineOf(const DeltaEvent& event) {
                       " bytes=", event.wire_bytes);
 }
 
+std::string LineOf(const LeaseExpiredEffect& effect) {
+  return absl::StrCat("session=", effect.session, " worker=", effect.worker, " job=", effect.job,
+                      " lease=", effect.lease, " ", TextOf(effect.unit), " expired");
+}
+
+std::string LineOf(const RaceBegunEffect& effect) {
+  return absl::StrCat("session=", effect.session, " worker=", effect.worker, " job=", effect.job,
+                      " lease=", effect.lease, " ", TextOf(effect.unit), " races lease=",
+                      effect.slow, " worker=", effect.other);
+}
+
+std::string LineOf(const AuditDiffersEffect& effect) {
+  return absl::StrCat("job=", effect.job, " ", TextOf(effect.unit), " host=", effect.host,
+                      " differs from host=", effect.other);
+}
+
 void LogSent(const SendEffect& effect) {
   if (!ServerLog().should_log(spdlog::level::debug)) return;
   if (const std::string line = LineOf(effect); !line.empty()) ServerLog().debug("{}", line);
+}
+
+void LogRace(const RaceBegunEffect& effect) {
+  if (ServerLog().should_log(spdlog::level::debug)) ServerLog().debug("{}", LineOf(effect));
 }
 
 void LogDelta(const std::string& line, const absl::Status& taken_in) {

@@ -140,6 +140,9 @@ class Service::Impl : public EffectSink {
   void On(const EvaluatePictureEffect& e) { pictures_->Evaluate(e.job); }
   void On(const FinishJobEffect& e) { pictures_->Finish(e.job); }
   void On(const FilterAnswerEffect& e) { desk_->Answer(e); }
+  void On(const LeaseExpiredEffect& e) { ServerLog().warn("{}", LineOf(e)); }
+  void On(const RaceBegunEffect& e) { LogRace(e); }
+  void On(const AuditDiffersEffect& e) { ServerLog().warn("{}", LineOf(e)); }
 
   // Declared in the order in which they are made; destroyed in reverse.
   std::unique_ptr<DataDir> data_dir_;

@@ -1,5 +1,6 @@
 #include "server/coordinator/coordinator.h"
 
+#include <algorithm>
 #include <charconv>
 #include <variant>
 
@@ -135,7 +136,12 @@ std::vector<Coordinator::LeaseView> Coordinator::ListLeases() const {
 
 CoordinatorTotals Coordinator::Totals() const {
   CoordinatorTotals totals = totals_;
-  for (const auto& [id, job] : jobs_) ++totals.jobs[job->record.state()];
+  for (const auto& [id, job] : jobs_) {
+    ++totals.jobs[job->record.state()];
+    if (job->queue == nullptr) continue;
+    const int64_t wanted = SamplesTotal(*job) - job->film->samples() - job->samples_under_way;
+    totals.samples_waiting[job->record.state()] += std::max<int64_t>(0, wanted);
+  }
   totals.workers = std::ssize(workers_);
   for (const auto& [session, worker] : workers_) totals.worker_threads += worker->hello.threads();
   totals.leases = std::ssize(leases_);

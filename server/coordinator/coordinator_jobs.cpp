@@ -95,6 +95,7 @@ void Coordinator::On(CreateJobEvent& event) {
   auto job = std::make_unique<Job>();
   job->id = next_job_++;
   job->request_id = event.request_id;
+  job->submitted_ms = now_.monotonic_ms;
   job->record.set_name(JobName(job->id));
   job->record.set_version(config_.version);
   job->record.set_owner(event.owner);

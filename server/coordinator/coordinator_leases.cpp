@@ -285,7 +285,10 @@ void Coordinator::StopWork(Job& job) {
 void Coordinator::ExpireLeases() {
   while (!expiries_.empty() && expiries_.begin()->first <= now_.monotonic_ms) {
     const LeaseId id = expiries_.begin()->second;
-    Worker& worker = *workers_.at(leases_.at(id).session);
+    const Lease& lease = leases_.at(id);
+    Worker& worker = *workers_.at(lease.session);
+    result_.effects.emplace_back(
+        LeaseExpiredEffect{lease.session, worker.id, lease.job, id, lease.unit});
     worker.stalled = worker.stalled || !IsSilent(worker);
     DropLease(id, true);
     ++totals_.leases_expired;

@@ -277,11 +277,13 @@ void Coordinator::On(PictureEvent& event) {
   Job* const job = FindJob(event.job);
   if (job == nullptr) return;
   v1::JobProgress& progress = *job->record.mutable_progress();
-  if (!job->has_picture && job->work_ms > 0) {
+  if (!job->has_picture && job->submitted_ms > 0) {
     ++totals_.first_pictures;
-    totals_.first_picture_seconds += 1e-3 * static_cast<double>(now_.monotonic_ms - job->work_ms);
+    totals_.first_picture_seconds +=
+        1e-3 * static_cast<double>(now_.monotonic_ms - job->submitted_ms);
   }
   job->has_picture = true;
+  totals_.filter_rounds.Add(event.filter_seconds);
   totals_.filter_core_seconds += event.filter_core_seconds;
   progress.set_estimated_error(event.estimated_error);
   progress.set_filter_core_seconds(progress.filter_core_seconds() + event.filter_core_seconds);

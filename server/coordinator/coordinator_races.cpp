@@ -78,12 +78,16 @@ void Coordinator::Race(Worker& worker, std::vector<LeaseId>* leases) {
            !job.HasHeard(worker.hello.host(), lease.unit);
   });
   if (found == leases->end()) return;
-  const Lease& slow = leases_.at(*found);
+  const LeaseId slow_id = *found;
+  const Lease slow = leases_.at(slow_id);
   leases->erase(found);
   Job& job = *jobs_.at(slow.job);
   worker.is_alone = job.suspects.contains(slow.unit);
-  Grant(worker, job, Unit(slow.unit));
+  Grant(worker, job, slow.unit);
   leases_.rbegin()->second.is_race = true;
+  result_.effects.emplace_back(RaceBegunEffect{worker.session, worker.id, job.id,
+                                               leases_.rbegin()->first, slow.unit, slow_id,
+                                               workers_.at(slow.session)->id});
 }
 
 }  // namespace tessera

@@ -88,6 +88,7 @@ struct Coordinator::Job {
   bool holds_film = false;  // its film counts into film_bytes_
   // The most memory of a worker that declined for want of it: none with as little is asked again.
   int64_t memory_short_bytes = -1;
+  int64_t submitted_ms = 0;    // monotonic; 0 = to an earlier incarnation
   int64_t work_ms = 0;  // monotonic moment of the first lease of this incarnation; 0 = none yet
   int64_t spent_ms = 0; // before that, by earlier incarnations and before pauses
   int64_t first_merge_ms = 0;  // monotonic, of this incarnation; 0 = none yet

@@ -62,6 +62,9 @@ absl::Status Coordinator::Hear(Job& job, const Unit& unit, const std::string& ho
   }
   const Sha256Digest digest = event.digest ? *event.digest : TestimonyOf(event.tile);
   if (std::ranges::find(heard, digest, &Testimony::digest) == heard.end()) {
+    if (!heard.empty()) {
+      result_.effects.emplace_back(AuditDiffersEffect{job.id, unit, host, heard.front().host});
+    }
     heard.push_back({host, digest});
     if (heard.size() >= kTestimoniesMax) {
       Fail(job, absl::StrCat("tile ", unit.tile, ", samples [", unit.range.begin, ", ",

@@ -2,11 +2,13 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <variant>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "server/coordinator/event.h"
+#include "server/coordinator/tile_queue.h"
 
 namespace tessera {
 
@@ -57,9 +59,37 @@ struct FinishJobEffect {
   JobId job = 0;
 };
 
+// For the log alone. worker, other: N of "workers/N".
+// The lease has made no progress for its time; its unit is for others.
+struct LeaseExpiredEffect {
+  SessionId session = 0;
+  uint64_t worker = 0;
+  JobId job = 0;
+  LeaseId lease = 0;
+  Unit unit;
+};
+// What another worker's lease `slow` has had for long was given to this one as well.
+struct RaceBegunEffect {
+  SessionId session = 0;
+  uint64_t worker = 0;
+  JobId job = 0;
+  LeaseId lease = 0;
+  Unit unit;
+  LeaseId slow = 0;
+  uint64_t other = 0;  // who has that
+};
+// Two hosts have rendered an audited unit to different bits; a third one decides who is right.
+struct AuditDiffersEffect {
+  JobId job = 0;
+  Unit unit;
+  std::string host;   // whose delta has just come
+  std::string other;  // whose came before
+};
+
 using Effect = std::variant<SendEffect, CloseSessionEffect, JobChangedEffect, TileChangedEffect,
                             SaveJobEffect, BanEffect, RemoveJobEffect, EvaluatePictureEffect,
-                            FinishJobEffect, FilterAnswerEffect>;
+                            FinishJobEffect, FilterAnswerEffect, LeaseExpiredEffect,
+                            RaceBegunEffect, AuditDiffersEffect>;
 
 // What one step led to.
 struct StepResult {

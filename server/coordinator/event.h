@@ -121,6 +121,7 @@ struct PictureEvent {
   double estimated_error = 0;  // sqrt(relMSE); 0 = unknown
   double error_bound = 0;      // ErrorBound of the picture at the job's quality; 0 = unknown
   double filter_core_seconds = 0;  // spent since the last such event
+  double filter_seconds = 0;       // since the filtering began
   bool is_refined = false;         // the picture is at the job's quality
   // Of a job that decides by its picture, at its quality: by cell of kCellSizePx. Else empty.
   std::vector<CellError> cell_errors{};

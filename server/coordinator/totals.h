@@ -1,12 +1,26 @@
 // A coordinator in figures, for monitoring.
 #pragma once
 
+#include <algorithm>
+#include <array>
 #include <cstdint>
 #include <map>
 
 #include "tessera/v1/job.pb.h"
 
 namespace tessera {
+
+// Times by length, as a cumulative histogram wants them.
+struct TimeHistogram {
+  static constexpr std::array<double, 9> kBounds = {0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100};
+  std::array<int64_t, kBounds.size() + 1> counts{};  // up to each bound, and beyond the last
+  double sum = 0;  // seconds
+
+  void Add(double seconds) {
+    ++counts[static_cast<size_t>(std::ranges::lower_bound(kBounds, seconds) - kBounds.begin())];
+    sum += seconds;
+  }
+};
 
 struct CoordinatorTotals {
   // Since it started.
@@ -26,10 +40,12 @@ struct CoordinatorTotals {
   int64_t leases_granted = 0;
   int64_t leases_expired = 0;
   int64_t first_pictures = 0;         // of jobs
-  double first_picture_seconds = 0;   // from a job's first lease to its first picture, summed
+  double first_picture_seconds = 0;   // from a job's submission to its first picture, summed
+  TimeHistogram filter_rounds;        // that brought a picture up to date, by wall clock
 
   // Now.
   std::map<v1::JobState, int64_t> jobs;
+  std::map<v1::JobState, int64_t> samples_waiting;  // that jobs want and nobody renders
   int64_t workers = 0;
   int64_t worker_threads = 0;
   int64_t leases = 0;

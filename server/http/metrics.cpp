@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <fstream>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -49,6 +50,18 @@ class Families {
     metric.summary.sample_count = static_cast<uint64_t>(count);
     metric.summary.sample_sum = sum;
   }
+  void Histogram(const std::string& name, const std::string& help, const TimeHistogram& times) {
+    Add(name, help, MetricType::Histogram);
+    ClientMetric::Histogram& out = families_.back().metric.emplace_back().histogram;
+    for (size_t i = 0; i < times.counts.size(); ++i) {
+      out.sample_count += static_cast<uint64_t>(times.counts[i]);
+      const double bound = i < TimeHistogram::kBounds.size()
+                               ? TimeHistogram::kBounds[i]
+                               : std::numeric_limits<double>::infinity();
+      out.bucket.push_back({out.sample_count, bound});
+    }
+    out.sample_sum = times.sum;
+  }
   std::string Text() const { return prometheus::TextSerializer().Serialize(families_); }
 
  private:
@@ -77,14 +90,15 @@ double ProcessorSeconds() {
   return seconds(usage.ru_utime) + seconds(usage.ru_stime);
 }
 
-void AddJobs(const CoordinatorTotals& totals, Families& out) {
-  out.Add("tessera_jobs", "Jobs by state", MetricType::Gauge);
+void AddByState(const std::string& name, const std::string& help,
+                const std::map<v1::JobState, int64_t>& values, Families& out) {
+  out.Add(name, help, MetricType::Gauge);
   const auto* const states = v1::JobState_descriptor();
   for (int i = 0; i < states->value_count(); ++i) {
     const auto state = static_cast<v1::JobState>(states->value(i)->number());
     if (state == v1::JOB_STATE_UNSPECIFIED) continue;
-    const auto count = totals.jobs.find(state);
-    out.Value(count == totals.jobs.end() ? 0 : static_cast<double>(count->second),
+    const auto value = values.find(state);
+    out.Value(value == values.end() ? 0 : static_cast<double>(value->second),
               {{"state", StateLabel(state)}});
   }
 }
@@ -146,7 +160,9 @@ std::string MetricsText(const CoordinatorHost& host, const FilterDesk::Totals& f
   Families out;
   out.Add("tessera_build_info", "The version that runs", MetricType::Gauge);
   out.Value(1, {{"version", kVersion}});
-  AddJobs(totals, out);
+  AddByState("tessera_jobs", "Jobs by state", totals.jobs, out);
+  AddByState("tessera_samples_waiting", "Samples that jobs want and nobody renders, by state",
+             totals.samples_waiting, out);
   out.Gauge("tessera_workers", "Workers that are connected", number(totals.workers));
   out.Gauge("tessera_worker_threads", "Their threads", number(totals.worker_threads));
   out.Gauge("tessera_leases", "Units of work under way", number(totals.leases));
@@ -165,8 +181,11 @@ std::string MetricsText(const CoordinatorHost& host, const FilterDesk::Totals& f
               totals.render_core_seconds);
   out.Counter("tessera_filter_core_seconds_total", "Processor time of filtering by the server",
               totals.filter_core_seconds);
+  out.Histogram("tessera_filter_round_seconds",
+                "Wall time of bringing a picture up to date, pauses for other pictures included",
+                totals.filter_rounds);
   AddFiltering(totals, filtering, out);
-  out.Summary("tessera_first_picture_seconds", "From a job's first lease to its first picture",
+  out.Summary("tessera_first_picture_seconds", "From a job's submission to its first picture",
               totals.first_pictures, totals.first_picture_seconds);
   AddWorkers(workers, out);
   out.Gauge("process_resident_memory_bytes", "Resident memory", ResidentBytes());

@@ -422,6 +422,7 @@ void PictureService::EndRound(JobId job, const std::shared_ptr<Picture>& picture
                        .samples = round.view.samples,
                        .estimated_error = picture->estimated_error(),
                        .filter_core_seconds = round.cpu_seconds,
+                       .filter_seconds = 1e-3 * static_cast<double>(MonotonicMs() - round.begin_ms),
                        .is_refined = is_refined};
     if (is_refined && DecidesByPicture(round.view.settings)) {
       event.cell_errors = picture->CellErrors();

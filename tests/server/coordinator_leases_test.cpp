@@ -237,9 +237,18 @@ TEST(CoordinatorLeases, ASlowRenderIsRacedAtOnceWhereNothingWaits) {
   farm.Heartbeat(slow, 1);
   farm.Post(TickEvent{});
   EXPECT_EQ(Races(farm), 0);
+  EXPECT_TRUE(farm.races.empty());
   farm.now_ms += 20;
   farm.Post(TickEvent{});
   EXPECT_EQ(Races(farm), 1);
+  ASSERT_EQ(farm.races.size(), 1u) << "the log says which";
+  const RaceBegunEffect& race = farm.races.front();
+  const v1::Lease& raced = farm.workers[slow].leases.front();
+  EXPECT_EQ(race.worker, 2u);
+  EXPECT_EQ(race.lease, farm.workers[race.session].leases.front().id());
+  EXPECT_EQ(race.slow, raced.id());
+  EXPECT_EQ(race.other, 1u);
+  EXPECT_EQ(race.unit.tile, raced.tile_index());
 }
 
 // A worker of a fiftieth of the other's speed gets smaller ranges, and the film the same bits.

@@ -134,6 +134,16 @@ TEST(Coordinator, AnExpiredLeaseIsRenderedByAnotherAndTheLateDeltaIsDropped) {
   farm.Post(DrainEvent{silent});
   EXPECT_TRUE(farm.workers[silent].leases.empty()) << "revoked";
   EXPECT_EQ(farm.workers[other].leases.size(), 6u);
+  ASSERT_EQ(farm.expired.size(), 6u) << "the log says which";
+  for (size_t i = 0; i < lost.size(); ++i) {
+    const LeaseExpiredEffect& expired = farm.expired[i];
+    EXPECT_EQ(expired.session, silent);
+    EXPECT_EQ(expired.worker, 1u);
+    EXPECT_EQ(expired.job, job);
+    EXPECT_EQ(expired.lease, lost[i].id());
+    EXPECT_EQ(expired.unit, (Unit{lost[i].tile_index(),
+                                  {lost[i].sample_begin(), lost[i].sample_end()}}));
+  }
   farm.RunAll();
   EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
   EXPECT_TRUE(absl::IsAlreadyExists(farm.Post(farm.Render(silent, lost[0])).status));
@@ -152,6 +162,43 @@ TEST(Coordinator, WhatASilentWorkerLetExpireGoesToAnother) {
   while (farm.RenderOne(other)) {
   }
   EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_DONE);
+}
+
+TEST(Coordinator, TheFirstPicturesTimeCountsFromTheJobsSubmission) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(2));
+  farm.now_ms += 5000;  // without a worker
+  farm.Connect(2);
+  farm.Post(PictureEvent{.job = job, .filter_seconds = 0.25});
+  farm.now_ms += 1000;
+  farm.Post(PictureEvent{.job = job, .filter_seconds = 200});
+  const CoordinatorTotals totals = farm.coordinator.Totals();
+  EXPECT_EQ(totals.first_pictures, 1);
+  EXPECT_DOUBLE_EQ(totals.first_picture_seconds, 5);
+  EXPECT_DOUBLE_EQ(totals.filter_rounds.sum, 200.25);
+  EXPECT_EQ(totals.filter_rounds.counts[3], 1) << "up to 0.3 s";
+  EXPECT_EQ(totals.filter_rounds.counts.back(), 1);
+}
+
+TEST(Coordinator, SamplesWaitUntilSomebodyRendersThem) {
+  SimulatedFarm farm;
+  const JobId job = farm.Create(SmallSettings(4));
+  const auto waiting = [&](v1::JobState state) {
+    return farm.coordinator.Totals().samples_waiting[state];
+  };
+  EXPECT_EQ(waiting(v1::JOB_STATE_QUEUED), 4 * 190);
+  const SessionId worker = farm.Connect(1);
+  int64_t leased = 0;
+  for (const v1::Lease& lease : farm.workers[worker].leases) {
+    leased += RectOf(lease.window()).area() * (lease.sample_end() - lease.sample_begin());
+  }
+  ASSERT_GT(leased, 0);
+  EXPECT_EQ(waiting(v1::JOB_STATE_RUNNING), 4 * 190 - leased);
+  ASSERT_TRUE(farm.Command(JobCommand::kPause, job).ok());
+  EXPECT_EQ(waiting(v1::JOB_STATE_PAUSED), 4 * 190);
+  ASSERT_TRUE(farm.Command(JobCommand::kResume, job).ok());
+  farm.RunAll();
+  EXPECT_EQ(waiting(v1::JOB_STATE_RUNNING), 0);
 }
 
 TEST(Coordinator, HigherPriorityGoesFirstAndEqualsShare) {

@@ -219,12 +219,18 @@ TEST(CoordinatorTrust, HostsThatDisagreeDoNotRaceEachOther) {
   ASSERT_EQ(farm.workers[honest].leases.size(), 1u) << "the audit";
   wait();
   EXPECT_EQ(farm.workers[liar].leases.size(), 0u) << "the honest one is slow, the liar idle";
+  EXPECT_TRUE(farm.differences.empty());
   farm.RenderOne(honest);
+  ASSERT_EQ(farm.differences.size(), 1u) << "the log says which";
+  EXPECT_EQ(farm.differences[0].unit, (Unit{0, {0, 1}}));
+  EXPECT_EQ(farm.differences[0].host, absl::StrCat("host", honest));
+  EXPECT_EQ(farm.differences[0].other, absl::StrCat("host", liar));
   const SessionId third = farm.Connect(1);
   ASSERT_EQ(farm.workers[third].leases.size(), 1u);
   wait();
   EXPECT_EQ(farm.workers[liar].leases.size() + farm.workers[honest].leases.size(), 0u);
   farm.RenderOne(third);
+  EXPECT_EQ(farm.differences.size(), 1u);
   EXPECT_EQ(farm.Job(1).digest(), ExpectedDigest(settings, 1));
   EXPECT_TRUE(farm.workers[liar].closed.has_value());
 }

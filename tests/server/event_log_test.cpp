@@ -60,6 +60,19 @@ TEST(EventLog, LinesNameSessionJobLeaseTileAndSamples) {
   EXPECT_EQ(LineOf(welcome), "");
 }
 
+TEST(EventLog, WhatAPersonOnCallLooksForHasALine) {
+  const Unit unit{4, {16, 32}};
+  EXPECT_EQ(LineOf(LeaseExpiredEffect{3, 2, 7, 12, unit}),
+            "session=3 worker=2 job=7 lease=12 tile=4 samples=16..32 expired");
+  EXPECT_EQ(LineOf(RaceBegunEffect{3, 2, 7, 12, unit, 11, 1}),
+            "session=3 worker=2 job=7 lease=12 tile=4 samples=16..32 races lease=11 worker=1");
+  EXPECT_EQ(LineOf(AuditDiffersEffect{7, unit, "b", "a"}),
+            "job=7 tile=4 samples=16..32 host=b differs from host=a");
+  const auto log = [&] { LogRace(RaceBegunEffect{3, 2, 7, 12, unit, 11, 1}); };
+  EXPECT_NE(Written(spdlog::level::debug, log), "");
+  EXPECT_EQ(Written(spdlog::level::info, log), "");
+}
+
 TEST(EventLog, LeasesAreLoggedByVerboseServersOnly) {
   const auto log = [] {
     LogSent(Granted());

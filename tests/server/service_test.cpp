@@ -237,7 +237,9 @@ TEST_F(ServiceTest, MetricsCountWhatHappened) {
   httplib::Client client("127.0.0.1", service->http_port());
   EXPECT_THAT(client.Get("/metrics")->body,
               AllOf(HasSubstr("\ntessera_jobs{state=\"queued\"} 1\n"),
-                    HasSubstr("\ntessera_workers 0\n"), HasSubstr("\ntessera_samples_total 0\n")));
+                    HasSubstr("\ntessera_workers 0\n"), HasSubstr("\ntessera_samples_total 0\n"),
+                    HasSubstr(absl::StrCat("\ntessera_samples_waiting{state=\"queued\"} ",
+                                           settings.width() * settings.height() * 4, "\n"))));
   SyntheticWorker worker(channel);
   v1::Job last;
   Watch(job.name(), &last);
@@ -249,6 +251,9 @@ TEST_F(ServiceTest, MetricsCountWhatHappened) {
   EXPECT_THAT(text, HasSubstr(absl::StrCat("\ntessera_samples_total ", samples, "\n")));
   EXPECT_THAT(text, HasSubstr("host=\"synthetic\"} " + std::to_string(samples)));
   EXPECT_THAT(text, HasSubstr("# TYPE tessera_first_picture_seconds summary"));
+  EXPECT_THAT(text, HasSubstr("\ntessera_first_picture_seconds_count 1\n"));
+  EXPECT_THAT(text, HasSubstr("\ntessera_filter_round_seconds_bucket{le=\"+Inf\"} "));
+  EXPECT_THAT(text, HasSubstr("\ntessera_samples_waiting{state=\"queued\"} 0\n"));
 }
 
 // Names of the server's metrics in a text, without the suffixes of a summary's lines.

@@ -181,6 +181,9 @@ class SimulatedFarm {
       render_tile = SyntheticTile;
   std::vector<JobId> removed, saved;
   std::vector<std::string> bans;
+  std::vector<LeaseExpiredEffect> expired;
+  std::vector<RaceBegunEffect> races;
+  std::vector<AuditDiffersEffect> differences;
   std::vector<FilterAnswerEffect> filter_answers;
   absl::Status last_status;
   std::map<SessionId, int> pilot_depths;  // that workers find for jobs with auto_depth; else 6
@@ -210,6 +213,9 @@ class SimulatedFarm {
   void Apply(const BanEffect& effect) { bans.push_back(effect.host); }
   void Apply(const RemoveJobEffect& effect) { removed.push_back(effect.job); }
   void Apply(const FilterAnswerEffect& effect) { filter_answers.push_back(effect); }
+  void Apply(const LeaseExpiredEffect& effect) { expired.push_back(effect); }
+  void Apply(const RaceBegunEffect& effect) { races.push_back(effect); }
+  void Apply(const AuditDiffersEffect& effect) { differences.push_back(effect); }
   void Apply(const EvaluatePictureEffect& effect) {
     const v1::Job job = *coordinator.GetJob(effect.job);
     PictureEvent picture{

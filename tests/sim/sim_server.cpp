@@ -10,6 +10,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/worker_message.h"
+#include "server/event_log.h"
 #include "core/denoise/window_codec.h"
 #include "server/picture/filter_desk.h"
 #include "server/restore.h"
@@ -150,6 +151,9 @@ class SimServer::Run : public EffectSink {
   void On(const JobChangedEffect& e) { changed_.insert(e.job); }
   void On(const TileChangedEffect&) {}
   void On(const FilterAnswerEffect& e) { desk_.Answer(e); }
+  void On(const LeaseExpiredEffect& e) { server_.trace_(LineOf(e)); }
+  void On(const RaceBegunEffect& e) { server_.trace_(LineOf(e)); }
+  void On(const AuditDiffersEffect& e) { server_.trace_(LineOf(e)); }
   void On(const SaveJobEffect& e) {
     saver_.Save(e.job, e.with_film && server_.plan_.saves_films);
   }
