@@ -4,7 +4,8 @@
 // counts a sample twice.
 //
 // Fair shares: the highest priority that has work goes first; equal priorities share by samples
-// under way. A worker holds as many leases as it has threads, and a few more to hide latency.
+// merged and under way. A worker holds as many leases as it has threads, and a few more to hide
+// latency.
 // Threads: none; the caller serialises all calls.
 #pragma once
 

@@ -136,8 +136,18 @@ bool Coordinator::GrantOne(Worker& worker) {
   return false;
 }
 
+// Whoever has been served least comes first, what is under way included: shares are equal however
+// few leases the farm holds. Nobody is further behind than a lease: who had no work, has just come,
+// or never brings back what it has gets no more than its share for that.
 bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
-  std::ranges::stable_sort(jobs, {}, [](const Job* job) { return job->samples_under_way; });
+  int64_t most = 0, lease = 0;
+  for (const Job* const job : jobs) {
+    most = std::max(most, job->served);
+    lease = std::max(lease, job->lease_samples);
+  }
+  for (Job* const job : jobs) job->served = std::max(job->served, most - lease);
+  std::ranges::stable_sort(jobs, {},
+                           [](const Job* job) { return job->served + job->samples_under_way; });
   for (Job* const job : jobs) {
     std::optional<Unit> unit = AuditFor(*job, worker);
     if (!unit && job->audits.size() < kAuditsMax) unit = TakeUnit(*job, LeaseSize(worker, *job));
@@ -210,6 +220,8 @@ void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
   ++job.leases_of_session[worker.session];
   job.leases_of_unit[unit].push_back(id);
   job.samples_under_way += unit.range.size() * window.area();
+  const int64_t tile_samples = unit.range.size() * job.grid.tile_size() * job.grid.tile_size();
+  job.lease_samples = std::max(tile_samples, job.lease_samples - job.lease_samples / 8);
   CountFilm(job);
   if (job.work_ms == 0) job.work_ms = now_.monotonic_ms;
   if (job.record.state() == v1::JOB_STATE_QUEUED) SetState(job, v1::JOB_STATE_RUNNING);

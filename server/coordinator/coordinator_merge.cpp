@@ -149,6 +149,7 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
   }
 
   CountFilm(job);
+  job.served += unit.range.size() * job.grid.WindowOf(unit.tile).area();
   job.film_changed = true;
   if (job.first_merge_ms == 0) job.first_merge_ms = now_.monotonic_ms;
   const TileCost cost = CostOfDelta(event);

@@ -73,6 +73,10 @@ struct Coordinator::Job {
   std::map<SessionId, int> leases_of_session;
   std::map<Unit, std::vector<LeaseId>> leases_of_unit;
   int64_t samples_under_way = 0;
+  // Of its share (see GrantFrom): samples merged, or more where it would be too far behind, and
+  // about the largest lease lately, of whole tiles.
+  int64_t served = 0;
+  int64_t lease_samples = 0;
   // Units that are not the queue's to hand out while they are listed here.
   std::map<Unit, std::vector<Testimony>> audits;
   std::set<Unit> audits_waiting;  // those that nobody renders just now

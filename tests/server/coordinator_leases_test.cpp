@@ -60,6 +60,75 @@ TEST(CoordinatorLeases, JobsOfOnePriorityHaveEqualSharesOfSamples) {
   EXPECT_LE(static_cast<double>(samples(most)), 1.2 * static_cast<double>(samples(least)));
 }
 
+// Ranges of 8 samples.
+CoordinatorConfig ShortLeases() {
+  CoordinatorConfig config = SmallConfig();
+  config.lease_target_ms = 5;
+  return config;
+}
+
+// Three jobs of different sizes, with three leases at once and more.
+TEST(CoordinatorLeases, SharesAreEqualOnSmallFarmsToo) {
+  for (int num_workers = 1; num_workers <= 3; ++num_workers) {
+    for (int threads = 1; threads <= 3; ++threads) {
+      SimulatedFarm farm(ShortLeases());
+      std::vector<JobId> jobs;
+      for (const int width : {19, 40, 80}) {
+        v1::JobSettings settings = SmallSettings(1024);
+        settings.set_width(width);
+        jobs.push_back(farm.Create(settings));
+      }
+      for (int i = 0; i < num_workers; ++i) farm.Connect(threads);
+      const auto samples = [&](JobId job) { return farm.Job(job).progress().samples(); };
+      const int64_t all = farm.Job(jobs[0]).progress().samples_total();
+      while (samples(jobs[0]) < all / 2) {
+        for (SessionId session = 1; session < farm.next_session; ++session) {
+          ASSERT_TRUE(farm.RenderOne(session));
+        }
+      }
+      const auto [least, most] = std::ranges::minmax(jobs, {}, samples);
+      EXPECT_LE(static_cast<double>(samples(most)), 1.2 * static_cast<double>(samples(least)))
+          << num_workers << " workers with " << threads << " threads";
+    }
+  }
+}
+
+TEST(CoordinatorLeases, ALaterJobSharesFromThenOn) {
+  SimulatedFarm farm(ShortLeases());
+  const JobId first = farm.Create(SmallSettings(4096));
+  const SessionId worker = farm.Connect(1);
+  const auto samples = [&](JobId job) { return farm.Job(job).progress().samples(); };
+  while (samples(first) < 200000) ASSERT_TRUE(farm.RenderOne(worker));
+  const JobId second = farm.Create(SmallSettings(4096));
+  const int64_t before = samples(first);
+  while (samples(second) < 200000) ASSERT_TRUE(farm.RenderOne(worker));
+  EXPECT_NEAR(static_cast<double>(samples(first) - before), 200000, 20000)
+      << "it neither waits nor makes up for when it was not there";
+}
+
+// A job of which nothing ever comes back has lease after lease, but no more than the others.
+TEST(CoordinatorLeases, AJobThatBringsNothingBackHoldsNoMoreThanItsShare) {
+  SimulatedFarm farm;
+  v1::JobSettings settings = SmallSettings(4096);
+  settings.set_width(640);
+  settings.set_height(64);
+  const JobId stuck = farm.Create(settings), good = farm.Create(settings);
+  const SessionId worker = farm.Connect(8);
+  std::deque<v1::Lease>& leases = farm.workers[worker].leases;
+  const auto of = [&](JobId job) {
+    return std::ranges::count(leases, JobName(job), &v1::Lease::job);
+  };
+  ASSERT_EQ(of(stuck) + of(good), 12);
+  for (int i = 0; i < 500; ++i) {
+    const auto lease = std::ranges::find(leases, JobName(good), &v1::Lease::job);
+    ASSERT_NE(lease, leases.end());
+    const v1::Lease taken = *lease;
+    leases.erase(lease);
+    farm.Post(farm.Render(worker, taken));
+    EXPECT_LE(of(stuck), 7) << "half of what the worker holds, and one";
+  }
+}
+
 TEST(CoordinatorLeases, TheNinthJobOfOnePriorityWaits) {
   SimulatedFarm farm;
   std::vector<JobId> jobs;
