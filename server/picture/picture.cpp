@@ -15,12 +15,13 @@
 #include "core/statistics/calibration.h"
 #include "server/coordinator/job_settings.h"
 #include "server/picture/parallel.h"
+#include "server/picture/settled.h"
 
 namespace tessera {
 namespace {
 
 constexpr double kLeastError = 1e-12;  // what stands for none, as 0 means unknown
-constexpr int kResolvedPartPx = 128;  // of a unit of work without a large halo
+constexpr int kResolvedPartPx = 128;   // of a unit of work without a large halo
 constexpr float kUnknown = std::numeric_limits<float>::infinity();
 
 uint64_t NextSerial() {
@@ -66,11 +67,12 @@ std::vector<PixelRect> JoinTiles(const TileGrid& grid, const std::vector<int64_t
   return rects;
 }
 
-Picture::Picture(const v1::JobSettings& settings)
+Picture::Picture(const v1::JobSettings& settings, bool spares_settled)
     : serial_(NextSerial()),
       settings_(settings),
       quality_(settings.quality() == v1::QUALITY_PREVIEW ? DenoiseQuality::kPreview
                                                          : DenoiseQuality::kFinal),
+      spares_settled_(spares_settled),
       grid_(RegionOf(settings), settings.tile_size()),
       planes_(grid_.region()),
       filtered_(grid_.region()),
@@ -107,6 +109,12 @@ double Picture::Update(const std::vector<int64_t>& changed, const TileSource& so
       ++it;
       continue;
     }
+    if (MaySpare(tile)) {
+      rough.is_stale = false;  // until more news reach it; Refine takes them in
+      ++num_spared_;
+      ++it;
+      continue;
+    }
     seen.push_back(tile);
     rough = {window};  // the preview takes whole tiles
     it = quality == quality_ ? rough_.erase(it) : std::next(it);
@@ -117,6 +125,11 @@ double Picture::Update(const std::vector<int64_t>& changed, const TileSource& so
   is_refined_ = IsWholeLocked(nullptr);
   if (!seen.empty() || !changed.empty()) ++version_;
   return cpu_seconds;
+}
+
+bool Picture::MaySpare(int64_t tile) const {
+  return spares_settled_ && shown_[static_cast<size_t>(tile)] != 0 &&
+         IsSettled(planes_, filtered_, grid_.WindowOf(tile));
 }
 
 double Picture::Absorb(const std::vector<int64_t>& changed, const TileSource& source,

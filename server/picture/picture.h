@@ -5,6 +5,7 @@
 // that somebody looks at these alone are filtered, to the bits of the same parts of the whole.
 #pragma once
 
+#include <atomic>
 #include <cstdint>
 #include <functional>
 #include <limits>
@@ -33,17 +34,19 @@ namespace tessera {
 // Threads: Update from one thread at a time; the others from any.
 class Picture {
  public:
-  // `settings` are complete (CompleteSettings).
-  explicit Picture(const v1::JobSettings& settings);
+  // `settings` are complete (CompleteSettings). spares_settled false: previews filter all that has
+  // changed, for comparisons.
+  explicit Picture(const v1::JobSettings& settings, bool spares_settled = true);
 
   // Gives the folded statistics of a tile as they are now.
   using TileSource = std::function<TileStatistics(int64_t tile)>;
   // Takes the tiles `changed` from `source`, called on num_threads, and filters of the tiles that
-  // meet `views` all that is not up to date: kPreview at preview quality; kFinal at the job's, with
-  // all that previews have left. Of `changed` those that do not reach `views` may be missing, until
-  // somebody looks at what they reach. Tiles without samples are passed over. Parts of the picture
-  // are served as they become ready. Returns the seconds of CPU that it took, all threads together;
-  // 0 if there was nothing to do.
+  // meet `views` all that is not up to date: kPreview at preview quality, but for tiles that
+  // cannot have changed visibly; kFinal at the job's, with all that previews have left. Of
+  // `changed` those that do not reach `views` may be missing, until somebody looks at what they
+  // reach. Tiles without samples are passed over. Parts of the picture are served as they become
+  // ready. Returns the seconds of CPU that it took, all threads together; 0 if there was nothing to
+  // do.
   double Update(const std::vector<int64_t>& changed, const TileSource& source,
                 DenoiseQuality quality, int num_threads, const Views& views = Views::Whole());
   // Update at the job's quality in slices, between which others may have the cores: Absorb takes
@@ -72,6 +75,8 @@ class Picture {
   bool HasShown(const std::optional<PixelRect>& region) const;
   // Whether all of it is at the job's quality.
   bool is_refined() const;
+  // How often a preview has left a tile alone that news had reached.
+  int64_t num_spared() const { return num_spared_; }
   // Mean samples per pixel that it shows, over what it has of `region`.
   double spp() const;
   double spp(const PixelRect& region) const;
@@ -94,6 +99,8 @@ class Picture {
   // The pixels that news in `tiles` can change at `quality`, tile by tile.
   std::map<int64_t, PixelRect> StalePixels(const std::vector<int64_t>& tiles,
                                            DenoiseQuality quality) const;
+  // Whether a preview may leave the tile as it is.
+  bool MaySpare(int64_t tile) const;
   // Has `stale` filtered at the job's quality by Refine.
   void LeaveToRefine(const std::map<int64_t, PixelRect>& stale);
   // The next rough pixels to be filtered here, taken out of rough_ in the order of tiles until they
@@ -136,6 +143,7 @@ class Picture {
   const uint64_t serial_;
   const v1::JobSettings settings_;
   const DenoiseQuality quality_;  // the job's
+  const bool spares_settled_;
   const TileGrid grid_;
   std::unique_ptr<Denoiser> denoiser_;  // constant after construction
   // At the job's quality and for previews; Update's own.
@@ -163,6 +171,7 @@ class Picture {
     bool is_stale = false;  // has changed since it was filtered at preview quality
   };
   std::map<int64_t, Rough> rough_;
+  std::atomic<int64_t> num_spared_ = 0;
   uint64_t revision_ = 0;  // of the planes; Update's own
   // Each row's sums of FilteredPlanes::relative_error and relative_noise; Update's own.
   struct RowError {
