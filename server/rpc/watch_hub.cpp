@@ -1,6 +1,5 @@
 #include "server/rpc/watch_hub.h"
 
-#include <algorithm>
 #include <chrono>
 #include <optional>
 #include <utility>
@@ -8,29 +7,14 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
-#include "core/base/sha256.h"
 #include "server/coordinator/coordinator.h"
 #include "server/coordinator/job_settings.h"
 #include "server/coordinator_host.h"
 #include "server/rpc/rpc_status.h"
+#include "server/rpc/watch_cursor.h"
 
 namespace tessera {
 namespace {
-
-constexpr int64_t kIntervalDefaultMs = 100;
-constexpr int64_t kIntervalMaxMs = 60000;
-
-bool IsTerminal(const v1::Job& job) {
-  return job.state() == v1::JOB_STATE_DONE || job.state() == v1::JOB_STATE_CANCELLED ||
-         job.state() == v1::JOB_STATE_FAILED;
-}
-
-int64_t IntervalMs(const v1::WatchJobRequest& request) {
-  if (!request.has_min_interval()) return kIntervalDefaultMs;
-  const auto& interval = request.min_interval();
-  if (interval.seconds() < 0 || interval.seconds() > kIntervalMaxMs / 1000) return kIntervalMaxMs;
-  return interval.seconds() * 1000 + std::clamp(interval.nanos(), 0, 999999999) / 1000000;
-}
 
 // What the watcher looks at.
 std::optional<PixelRect> RegionOf(const v1::WatchJobRequest& request) {
@@ -46,35 +30,26 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
   WatchReactor(WatchHub* hub, JobId job, const v1::WatchJobRequest& request, WatchKeeps keeps)
       : hub_(hub),
         job_(job),
-        interval_ms_(IntervalMs(request)),
-        only_changes_(request.only_changes()),
         region_(RegionOf(request)),
         keeps_(std::move(keeps)),
-        sent_(request.from_revision()) {}
+        cursor_(request) {}
 
   // Sends the job if it is newer than what was sent and it is time; ends the stream after a
   // terminal state.
   void Pump(int64_t now_ms) {
     std::lock_guard lock(mu_);
     if (finished_ || writing_) return;
-    if (ended_) return FinishLocked(grpc::Status::OK);
-    if (!dirty_ || now_ms < next_ms_) return;
+    if (cursor_.ended()) return FinishLocked(grpc::Status::OK);
+    if (!cursor_.IsDue(now_ms)) return;
     v1::Job job;
     if (!hub_->callbacks_.get_job(job_, &job)) {
       return FinishLocked(ToGrpc(absl::NotFoundError(JobName(job_) + " does not exist")));
     }
-    dirty_ = false;
-    ended_ = IsTerminal(job);
-    const bool is_newer = job.revision().incarnation() != sent_.incarnation() ||
-                          job.revision().counter() > sent_.counter();
-    if (!is_newer) {
-      if (ended_) FinishLocked(grpc::Status::OK);
+    if (!cursor_.Take(&job, now_ms)) {
+      if (cursor_.ended()) FinishLocked(grpc::Status::OK);
       return;
     }
-    sent_ = job.revision();
     message_ = std::move(job);
-    if (only_changes_) LeaveOutWhatIsKnown(&message_);
-    next_ms_ = now_ms + interval_ms_;
     writing_ = true;
     if (keeps_.deadline) keeps_.deadline->Begin(Now().monotonic_ms);
     StartWrite(&message_);
@@ -82,7 +57,7 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
 
   void MarkDirty() {
     std::lock_guard lock(mu_);
-    dirty_ = true;
+    cursor_.NoteChange();
   }
 
   void End(const grpc::Status& status) {
@@ -107,18 +82,6 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
   const std::optional<PixelRect>& region() const { return region_; }
 
  private:
-  // Only the digests of what was sent are kept: settings may have a megabyte.
-  void LeaveOutWhatIsKnown(v1::Job* job) {
-    const Sha256Digest settings = Sha256Of(job->settings().SerializeAsString());
-    const Sha256Digest scene = Sha256Of(job->scene().SerializeAsString());
-    const Sha256Digest counts = Sha256Of(job->sample_counts().SerializeAsString());
-    if (settings == known_settings_) job->clear_settings();
-    if (scene == known_scene_) job->clear_scene();
-    if (counts == known_counts_) job->clear_sample_counts();
-    known_settings_ = settings;
-    known_scene_ = scene;
-    known_counts_ = counts;
-  }
   void FinishLocked(const grpc::Status& status) {
     finished_ = true;
     Finish(status);
@@ -126,18 +89,12 @@ class WatchReactor : public grpc::ServerWriteReactor<v1::Job> {
 
   WatchHub* const hub_;
   const JobId job_;
-  const int64_t interval_ms_;
-  const bool only_changes_;
   const std::optional<PixelRect> region_;
   const WatchKeeps keeps_;
   std::mutex mu_;  // guards all below
-  v1::Revision sent_;
+  WatchCursor cursor_;
   v1::Job message_;  // being written
-  std::optional<Sha256Digest> known_settings_, known_scene_, known_counts_;  // by the client
-  int64_t next_ms_ = 0;
-  bool dirty_ = true;
   bool writing_ = false;
-  bool ended_ = false;
   bool finished_ = false;
 };
 

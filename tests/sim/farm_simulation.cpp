@@ -39,9 +39,12 @@ class Farm {
           TraceOf(absl::StrCat("worker ", i))));
     }
     for (int i = 0; i < std::ssize(plan.jobs); ++i) {
-      clients_.emplace_back(i, plan_.jobs[static_cast<size_t>(i)], time_, network_, server_,
+      clients_.emplace_back(i, plan_.jobs[static_cast<size_t>(i)], plan_, time_, network_, server_,
                             checkers_);
     }
+    server_.SetWatch([this](JobId job) {
+      for (SimClient& client : clients_) client.NoteChange(job);
+    });
   }
 
   SimulationResult Run() {

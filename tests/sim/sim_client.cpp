@@ -46,6 +46,7 @@ void SimClient::Start() {
             return checkers_.Fail(absl::StrCat("job ", index_, " is refused: ", status.ToString()));
           }
           name_ = job->name();
+          watcher_.Start(name_);
           if (plan_.look.width() > 0) Look();
           time_.After(plan_.fate_us, [this] { FollowFate(); });
         });
@@ -135,8 +136,12 @@ void SimClient::CheckAcknowledged() {
   }
 }
 
+void SimClient::NoteChange(JobId job) {
+  if (name_ == JobName(job)) watcher_.NoteChange();
+}
+
 bool SimClient::IsDone() {
-  if (!fate_done_ || !server_.is_up()) return false;
+  if (!fate_done_ || !watcher_.IsDone() || !server_.is_up()) return false;
   v1::Job job;
   return deleted_ || (server_.requests().Get(name_, &job).ok() && HasEnded(job));
 }
@@ -147,6 +152,7 @@ void SimClient::CheckEnd() {
   v1::Job job;
   (void)server_.requests().Get(name_, &job);
   checkers_.CheckEnd(plan_, job);
+  watcher_.CheckEnd(job);
 }
 
 }  // namespace tessera

@@ -9,24 +9,29 @@
 #include "tests/sim/fault_plan.h"
 #include "tests/sim/sim_network.h"
 #include "tests/sim/sim_server.h"
+#include "tests/sim/sim_watcher.h"
 #include "tests/sim/virtual_time.h"
 
 namespace tessera {
 
 class SimClient {
  public:
-  SimClient(int index, const JobPlan& plan, VirtualTime& time, SimNetwork& network,
-            SimServer& server, Checkers& checkers)
+  SimClient(int index, const JobPlan& plan, const FaultPlan& faults, VirtualTime& time,
+            SimNetwork& network, SimServer& server, Checkers& checkers)
       : index_(index),
         plan_(plan),
         time_(time),
         network_(network),
         server_(server),
-        checkers_(checkers) {}
+        checkers_(checkers),
+        watcher_(faults.seed * 1000003 + static_cast<uint64_t>(index), faults.faults_end_us, time,
+                 server, checkers) {}
 
   void Start();
   // What the server has acknowledged holds, also after a restart.
   void CheckAcknowledged();
+  // The job has another revision, or is gone.
+  void NoteChange(JobId job);
   // Whether nothing more is to come: the job has ended, or is gone.
   bool IsDone();
   // The job as it is at the end.
@@ -46,6 +51,7 @@ class SimClient {
   SimNetwork& network_;
   SimServer& server_;
   Checkers& checkers_;
+  SimWatcher watcher_;
   std::string name_;  // of the job, once it is acknowledged
   bool steering_ = false;
   bool fate_done_ = false;

@@ -148,7 +148,10 @@ class SimServer::Run : public EffectSink {
     server_.trace_(absl::StrCat("closes session ", e.session, ": ", e.status.ToString()));
     server_.network_->Close(e.session, e.status);
   }
-  void On(const JobChangedEffect& e) { changed_.insert(e.job); }
+  void On(const JobChangedEffect& e) {
+    changed_.insert(e.job);
+    server_.watch_(e.job);
+  }
   void On(const TileChangedEffect&) {}
   void On(const FilterAnswerEffect& e) { desk_.Answer(e); }
   void On(const LeaseExpiredEffect& e) { server_.trace_(LineOf(e)); }
@@ -163,7 +166,10 @@ class SimServer::Run : public EffectSink {
     banned_.insert(e.host);
     if (!Liars().contains(e.host)) server_.checkers_.Fail(e.host + " is honest, and banned");
   }
-  void On(const RemoveJobEffect& e) { saver_.Remove(e.job); }
+  void On(const RemoveJobEffect& e) {
+    saver_.Remove(e.job);
+    server_.watch_(e.job);
+  }
   void On(const EvaluatePictureEffect& e) {
     FilterThen(e.job, [this, job = e.job] {
       const std::shared_ptr<const Film> film =
@@ -289,7 +295,10 @@ SimServer::SimServer(const FaultPlan& plan, VirtualTime& time, SimRandom& random
   (void)assets_->Append(*Sha256FromBytes(asset.sha256()), asset.size_bytes(), 0, kSimAsset);
 }
 
-SimServer::~SimServer() = default;
+// What still waits in the clock outlives the server, and must not reach it.
+SimServer::~SimServer() {
+  if (run_ != nullptr) run_->Kill();
+}
 
 void SimServer::Start() {
   if (run_ != nullptr) return;
@@ -368,6 +377,7 @@ absl::StatusOr<std::string> SimServer::FilterInput(const std::string& worker, Le
   return *input;
 }
 
+uint64_t SimServer::run_id() const { return run_->id(); }
 JobRequests& SimServer::requests() { return run_->requests(); }
 const CoordinatorHost& SimServer::host() const { return run_->host(); }
 

@@ -33,6 +33,10 @@ class SimServer {
   void Crash(int64_t for_us);
   void DiskIsFullFor(int64_t for_us);
   bool is_up() const { return run_ != nullptr; }
+  uint64_t run_id() const;  // of the process; is_up() only
+  void trace(const std::string& line) const { trace_(line); }
+  // Who is told that a job has changed, or is gone.
+  void SetWatch(std::function<void(JobId)> changed) { watch_ = std::move(changed); }
 
   // Network.
   void Receive(SimNetwork::Stream stream, v1::WorkerMessage message);
@@ -60,6 +64,7 @@ class SimServer {
   Checkers& checkers_;
   const Trace trace_;
   SimNetwork* network_ = nullptr;
+  std::function<void(JobId)> watch_ = [](JobId) {};
   SimPlatter platter_;
   std::unique_ptr<AssetStore> assets_;
   std::shared_ptr<Run> run_;  // null while it is down
