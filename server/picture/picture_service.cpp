@@ -379,14 +379,15 @@ void PictureService::RunSlice(JobId job, const std::shared_ptr<Picture>& picture
   Round round;
   {
     std::lock_guard lock(mu_);
-    const auto part = std::ranges::stable_partition(
-        refinement->waiting, [&](const Waiter& waiter) {
+    std::vector<Waiter>& waiting = refinement->waiting;
+    const auto part =
+        std::stable_partition(waiting.begin(), waiting.end(), [&](const Waiter& waiter) {
           Views views;
           views.Add(waiter.region);
           return !is_over && !picture->IsRefined(views, leased);
         });
-    std::ranges::move(part, std::back_inserter(answered));
-    refinement->waiting.erase(part.begin(), part.end());
+    std::move(part, waiting.end(), std::back_inserter(answered));
+    waiting.erase(part, waiting.end());
     if (is_over) {
       round = std::move(*refinement);
       entries_[job].refinement.reset();
