@@ -9,14 +9,16 @@
 
 #include "core/denoise/frame_filter.h"
 #include "server/coordinator/coordinator.h"
+#include "server/coordinator/limits.h"
 
 namespace tessera {
 
 // What a film and its picture take in memory, about. For each pixel a stored node, one that waits
-// for its sibling (184 bytes each), the resolved and the filtered planes (152), and what the filter
-// keeps; for each tile what keeps account of them.
+// for its sibling, the resolved and the filtered planes (152), and what the filter keeps; for each
+// tile what keeps account of them.
 inline int64_t FilmBytesOf(const TileGrid& grid) {
-  return grid.region().area() * (2 * 184 + 152 + kKeptBytesPerPixelMax) + grid.num_tiles() * 1024;
+  return grid.region().area() * (2 * kFilmBytesPerPixel + 152 + kKeptBytesPerPixelMax) +
+         grid.num_tiles() * 1024;
 }
 
 inline constexpr char kFilmsFull[] =

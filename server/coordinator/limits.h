@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "core/film/tile_statistics.h"
+
 namespace tessera {
 
 inline constexpr int kFrameSideMaxPx = 1 << 16;
@@ -11,8 +13,11 @@ inline constexpr int64_t kFramePixelsMax = int64_t{1} << 28;
 inline constexpr int64_t kSppMax = int64_t{1} << 30;
 inline constexpr int kMaxDepthMax = 1024;
 inline constexpr int kPriorityMax = 1000000;
-// A delta of one tile must stay below 1 MiB: 64 x 64 pixels of at most 184 bytes are 736 KiB.
+inline constexpr int64_t kFilmBytesPerPixel =
+    int64_t{kNumHalves} * (int{kNumFloatPlanes} + int{kNumCountPlanes}) * int64_t{sizeof(float)};
+// A delta of one tile must stay below 1 MiB.
 inline constexpr int kTileSizeMaxPx = 64;
+static_assert(kTileSizeMaxPx * kTileSizeMaxPx * kFilmBytesPerPixel < 1 << 20);
 // The largest frame in tiles of 32 pixels. Bounds a job's tables and its record of sample counts.
 inline constexpr int64_t kTilesMax = int64_t{1} << 18;
 inline constexpr int kAssetsMax = 65536;
@@ -57,7 +62,6 @@ inline constexpr int kImageStreamsMax = 64;
 inline constexpr int64_t kImageStreamBytesMax = int64_t{1} << 30;
 inline constexpr int kFilmStreamsMax = 16;
 inline constexpr int64_t kFilmStreamBytesMax = int64_t{2} << 30;
-inline constexpr int64_t kFilmBytesPerPixel = 184;
 
 inline constexpr int kMessageBytesMax = 4 << 20;  // that the server receives
 // A job's settings travel in every Job and to every worker, whose messages have the same bound.

@@ -79,7 +79,7 @@ TEST(CoordinatorBounds, JobsWaitForRoomForTheirFilmsInTheirOrder) {
   v1::JobSettings small = SmallSettings(4);
   small.set_width(8);
   small.set_height(8);
-  config.film_bytes_max = (19 * 10 * 680 + 6 * 1024) + 8 * 8 * 680 + 1024;  // one of each
+  config.film_bytes_max = (19 * 10 * 696 + 6 * 1024) + 8 * 8 * 696 + 1024;  // one of each
   SimulatedFarm farm(config);
   const JobId first = farm.Create(large);
   const JobId second = farm.Create(large);
@@ -101,7 +101,7 @@ TEST(CoordinatorBounds, JobsWaitForRoomForTheirFilmsInTheirOrder) {
 
 TEST(CoordinatorBounds, FilmsThatJobsBeginWithFitIntoMemoryAndBudget) {
   CoordinatorConfig config = SmallConfig();
-  config.film_bytes_max = 2 * (19 * 10 * 680 + 6 * 1024);
+  config.film_bytes_max = 2 * (19 * 10 * 696 + 6 * 1024);
   SimulatedFarm farm(config);
   v1::JobSettings settings = SmallSettings(16);
   const auto begin_with = [&](int64_t spp) {
