@@ -12,7 +12,6 @@ constexpr float kVarianceMax = 0x1p80f;
 // The rounding error of a difference of two means, relative to their squares, and what keeps the
 // distance of two black pixels at 0 / positive.
 constexpr float kRoundingVariance = 0x1p-40f;
-constexpr float kTiny = 1e-30f;
 
 // False for NaN.
 float Cut(float value, float limit) { return value < limit ? std::max(value, -limit) : limit; }
@@ -41,7 +40,7 @@ Plane VarianceRatio(const PixelRect& bounds, const PixelRect& frame, const Frame
   const PixelRect inside = bounds.Intersect(frame);
   Plane ratio = BoxSum(difference, read, kVarianceRadiusPx, inside);
   const Plane spread_sum = BoxSum(spread, read, kVarianceRadiusPx, inside);
-  for (size_t i = 0; i < ratio.size(); ++i) ratio[i] /= spread_sum[i] + kTiny;
+  for (size_t i = 0; i < ratio.size(); ++i) ratio[i] /= spread_sum[i] + kLeastVariance;
   return ratio;
 }
 
@@ -88,7 +87,7 @@ RegressionInput::RegressionInput(const PixelRect& rect, const PixelRect& frame,
       color[1][c][to] = pixel.half[1][c];
       variance[c][to] =
           Cut(pixel.variance[c] * ratio[static_cast<size_t>(inside.IndexOf(x, y))], kVarianceMax) +
-          kRoundingVariance * mean * mean + kTiny;
+          kRoundingVariance * mean * mean + kLeastVariance;
       variance_sum[to] += variance[c][to];
     }
   });
@@ -115,7 +114,7 @@ RawFeatures::RawFeatures(const PixelRect& rect, const PixelRect& frame, const Fr
       const float mean = Cut((*means[k])[p], kValueMax);
       value[k][to] = mean;
       variance[k][to] =
-          Cut((*variances[k])[p], kVarianceMax) + kRoundingVariance * mean * mean + kTiny;
+          Cut((*variances[k])[p], kVarianceMax) + kRoundingVariance * mean * mean + kLeastVariance;
     }
   });
 }

@@ -24,6 +24,11 @@ inline size_t SlackArea(const PixelRect& bounds) {
   return static_cast<size_t>(bounds.area()) + kRowSlackPx;
 }
 
+// The least variance of a channel. Where no sample has met light, RegressionInput::variance_sum is
+// the three channels' and no more but for rounding.
+inline constexpr float kLeastVariance = 1e-30f;
+inline constexpr float kUnlitVariance = 4 * kLeastVariance;
+
 struct RegressionInput {
   // Reads what lies inside both `bounds` and `frame` from `planes`, and around it what the
   // variances and the outliers need (kInputRadiusPx). Pixels that are noisier than their

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <limits>
 #include <utility>
 #include <vector>
 
@@ -126,6 +127,20 @@ std::vector<PassOutput> Finish(const RegressionInput& input,
   return outputs;
 }
 
+// Sets, for each pixel of a window, the share of its weight with which it takes the prediction of a
+// fit whose coefficients have the variance `lent`: no pixel is lent more than lent_ratio times its
+// own variance, which is what says that a fit around a lamp's noisy pixel is not about it. Pixels
+// that have met no light know nothing of their noise and take all. `lent` and `own` (gathered, > 0)
+// are of the same number of samples.
+void SetShares(const WindowWeights& weights, const WindowPlane& own, float lent, float lent_ratio,
+               WindowPlane* shares) {
+  const Float8 all = Float8{} + 1.0f;
+  const float scale = lent_ratio / std::max(lent, std::numeric_limits<float>::min());
+  for (size_t i = 0; i < static_cast<size_t>(weights.num_vectors()); ++i) {
+    (*shares)[i] = own[i] > kUnlitVariance ? Min8(all, scale * own[i]) : all;
+  }
+}
+
 // The part of an energy that is not noise: James & Stein's positive part.
 float Kept(float energy, float noise) { return energy > noise ? 1.0f - noise / energy : 0.0f; }
 
@@ -168,7 +183,7 @@ PassOutputs RunCrossPasses(const RegressionInput& input, std::span<const ColorHa
   }
   WindowWeights weights(settings.constants.window_radius_px, settings.constants.weights);
   WindowFit fit;
-  WindowPlane variance_sum;
+  WindowPlane variance_sum, shares;
   const auto fit_at = [&](int x, int y, int reach_px) {
     weights.Set(guide, 1, x, y);
     weights.Gather(input.bounds, input.variance_sum, &variance_sum);
@@ -179,15 +194,16 @@ PassOutputs RunCrossPasses(const RegressionInput& input, std::span<const ColorHa
       const Planes3& color = (*colors[value / kNumHalves])[half];
       const Plane* const targets[] = {color.data(), &color[1], &color[2]};
       fit.Fit(static_cast<int>(value), input.bounds, targets);
-      const float noise =
-          2.0f * fit.SquareWeightedSum(variance_sum) / fit.weight_sum();
+      const float lent = fit.CoefficientVariance(variance_sum);
+      const float noise = 2.0f * lent;  // of one half
       for (size_t k = 1; k < static_cast<size_t>(fit.num_unknowns()); ++k) {
         Float8& z = fit.coefficients[k];
         z *= Kept(z[0] * z[0] + z[1] * z[1] + z[2] * z[2], noise);
       }
+      SetShares(weights, variance_sum, lent, settings.constants.weights.lent_ratio, &shares);
       Plane* const into[] = {into_sums.sum(half, 0), into_sums.sum(half, 1),
                              into_sums.sum(half, 2)};
-      fit.AddPrediction(into_sums.bounds(), reach_px, into, into_sums.weight_sum(half));
+      fit.AddPrediction(into_sums.bounds(), reach_px, shares, into, into_sums.weight_sum(half));
     }
   };
   std::vector<uint8_t> on_demand = VisitCentres(input, settings, sums[0], fit_at);
@@ -246,8 +262,10 @@ PassOutputs RunPilotPasses(const RegressionInput& input, std::span<const ColorHa
   weight_settings.excuse_ratio = kInfinity;
   WindowWeights weights(settings.constants.window_radius_px, weight_settings);
   WindowFit fit;
+  WindowPlane variance_sum, shares;
   const auto fit_at = [&](int x, int y, int reach_px) {
     weights.Set(guide, patch_radius_px, x, y);
+    weights.Gather(input.bounds, input.variance_sum, &variance_sum);
     fit.SetCentre(weights, features);
     for (size_t run = 0; run < colors.size(); ++run) {
       const ColorHalves& color = *colors[run];
@@ -258,7 +276,9 @@ PassOutputs RunPilotPasses(const RegressionInput& input, std::span<const ColorHa
       Accumulator& to = sums[run];
       Plane* const into[] = {to.sum(0, 0), to.sum(0, 1), to.sum(0, 2),
                              to.sum(1, 0), to.sum(1, 1), to.sum(1, 2)};
-      fit.AddPrediction(to.bounds(), reach_px, into, to.weight_sum(0));
+      SetShares(weights, variance_sum, fit.CoefficientVariance(variance_sum),
+                settings.constants.weights.lent_ratio, &shares);
+      fit.AddPrediction(to.bounds(), reach_px, shares, into, to.weight_sum(0));
     }
   };
   std::vector<uint8_t> on_demand = VisitCentres(input, settings, sums[0], fit_at);

@@ -84,12 +84,12 @@ void WindowFit::FitAs(size_t num_targets) {
   Factor();
 }
 
-float WindowFit::SquareWeightedSum(const WindowPlane& plane) const {
+float WindowFit::CoefficientVariance(const WindowPlane& variance) const {
   Float8 sum = {};
   for (size_t i = 0; i < static_cast<size_t>(weights_->num_vectors()); ++i) {
-    sum += (*weight_)[i] * (*weight_)[i] * plane[i];
+    sum += (*weight_)[i] * (*weight_)[i] * variance[i];
   }
-  return Sum8(sum);
+  return Sum8(sum) / weight_sum_;
 }
 
 // One row of the Gramian: of regressor kRow with those from itself on, and with the targets. All
@@ -210,8 +210,8 @@ void Predict(std::span<const uint16_t> chosen, int num_unknowns, const WindowPla
 
 }  // namespace
 
-void WindowFit::AddPrediction(const PixelRect& bounds, int reach_px, std::span<Plane* const> sums,
-                              Plane* weight_sums) {
+void WindowFit::AddPrediction(const PixelRect& bounds, int reach_px, const WindowPlane& share,
+                              std::span<Plane* const> sums, Plane* weight_sums) {
   const std::array<Float8, kNumUnknowns> beta = Solve();
   const bool is_whole = reach_px >= weights_->radius_px();
   std::array<uint16_t, kWindowVectorsMax + 1> vectors;
@@ -235,7 +235,7 @@ void WindowFit::AddPrediction(const PixelRect& bounds, int reach_px, std::span<P
   for (const uint16_t i : chosen.first(num_chosen)) {
     const int dx = weights_->dx(i);
     const int dy = weights_->dy(i);
-    Float8 weight = (*weight_)[i];
+    Float8 weight = (*weight_)[i] * share[i];
     if (!is_whole) {
       const Float8 right = kLane + static_cast<float>(dx);
       weight = Max8(right, -right) > reach ? Float8{} : weight;

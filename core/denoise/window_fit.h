@@ -27,20 +27,21 @@ class WindowFit {
   // Fits planes (row-major over `bounds`; 3 or 6 of them) under the weights of `value`.
   void Fit(int value, const PixelRect& bounds, std::span<const Plane* const> targets);
 
-  // The sum of the weights; of a plane, as `weights` gather it, under the squared weights.
   float weight_sum() const { return weight_sum_; }
-  float SquareWeightedSum(const WindowPlane& plane) const;
+  // The variance of a coefficient whose regressor has the same size everywhere, from the targets'
+  // variance as `weights` gather it: under the squared weights, over the weights' sum.
+  float CoefficientVariance(const WindowPlane& variance) const;
 
   int num_unknowns() const { return num_unknowns_; }
   // coefficients[k][t]: of target t in the orthonormal basis; 0 where a regressor adds nothing to
   // those before it. May be changed before AddPrediction.
   std::array<Float8, kNumUnknowns> coefficients;
 
-  // Adds to sums[t] (row-major over `bounds`, SlackArea long) weight times the prediction of target
-  // t, and to weight_sums the weight, over the window's pixels within reach_px of its centre.
-  // The window must lie in bounds.
-  void AddPrediction(const PixelRect& bounds, int reach_px, std::span<Plane* const> sums,
-                     Plane* weight_sums);
+  // Adds to sums[t] (row-major over `bounds`, SlackArea long) weight times `share` times the
+  // prediction of target t, and to weight_sums weight times share, over the window's pixels within
+  // reach_px of its centre. The window must lie in bounds.
+  void AddPrediction(const PixelRect& bounds, int reach_px, const WindowPlane& share,
+                     std::span<Plane* const> sums, Plane* weight_sums);
 
  private:
   template <int kUnknowns>

@@ -247,6 +247,23 @@ SyntheticFrame SmoothWallFrame(uint32_t seed) {
                  });
 }
 
+SyntheticFrame LampFrame(uint32_t seed, uint32_t samples) {
+  constexpr float kWall = 0.1f, kLamp = 200;
+  const auto is_lit = [](int x, int y) { return x == kLampX && y == kLampY; };
+  return Draw(64, seed, [samples](int, int) { return samples; },
+              [&](int x, int y) { return Grey(is_lit(x, y) ? (kWall + kLamp) / 2 : kWall); },
+              [&](int x, int y, std::mt19937& random) {
+                Sample sample;
+                const float noise = std::normal_distribution<float>(1, 0.2f)(random);
+                sample.color = Grey(kWall * noise);
+                if (is_lit(x, y) && random() % 2 == 0) {
+                  sample.color = Grey(kLamp);
+                  sample.albedo = Grey(0);
+                }
+                return sample;
+              });
+}
+
 SyntheticFrame AdaptiveFrame(uint32_t seed) {
   constexpr int kSide = 128, kCell = 16, kCells = kSide / kCell;
   // The first four samples of every pixel are drawn ahead and drawn again, the same, for the frame.

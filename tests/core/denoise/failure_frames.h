@@ -43,6 +43,10 @@ SyntheticFrame DefocusFrame(uint32_t seed);
 SyntheticFrame TextureFrame(uint32_t seed);
 // 128x128: a wall that recedes, smoothly lit. 4 samples.
 SyntheticFrame SmoothWallFrame(uint32_t seed);
+// A dark wall with little noise around a pixel that a lamp of 200 fills by half, `samples` samples.
+// The lamp's albedo is its own.
+SyntheticFrame LampFrame(uint32_t seed, uint32_t samples);
+inline constexpr int kLampX = 32, kLampY = 32;
 // 128x128: lognormal noise; cells of 16x16 whose first 4 samples spread much get 32 in all, the
 // others 8.
 SyntheticFrame AdaptiveFrame(uint32_t seed);

@@ -64,18 +64,20 @@ TEST_F(WindowFitTest, ReproducesWhatIsLinearInItsRegressors) {
   Fit(features, target);
   EXPECT_FLOAT_EQ(fit_.weight_sum(), 361.0f);
   EXPECT_EQ(fit_.num_unknowns(), kNumUnknowns);
+  WindowPlane shares;
+  shares.fill(Float8{} + 0.5f);
   for (const int reach : {kRadius, 3}) {
     Planes3 sums;
     for (Plane& sum : sums) sum.resize(SlackArea(kBounds));
     Plane weight_sums(SlackArea(kBounds));
     Plane* const into[] = {sums.data(), &sums[1], &sums[2]};
-    fit_.AddPrediction(kBounds, reach, into, &weight_sums);
+    fit_.AddPrediction(kBounds, reach, shares, into, &weight_sums);
     for (int y = 0; y < 25; ++y) {
       for (int x = 0; x < 25; ++x) {
         const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
         const bool reached = std::abs(x - kCentre) <= reach && std::abs(y - kCentre) <= reach;
-        EXPECT_EQ(weight_sums[i], reached ? 1.0f : 0.0f);
-        EXPECT_NEAR(sums[1][i], reached ? target[i] : 0.0f, 2e-4f);
+        EXPECT_EQ(weight_sums[i], reached ? 0.5f : 0.0f);
+        EXPECT_NEAR(sums[1][i], reached ? 0.5f * target[i] : 0.0f, 1e-4f);
       }
     }
   }
@@ -127,7 +129,8 @@ TEST_F(WindowFitTest, SquareWeightedSum) {
   EXPECT_LT(weight, 0.9f);
   WindowPlane gathered;
   weights_.Gather(kBounds, plane, &gathered);
-  EXPECT_FLOAT_EQ(fit_.SquareWeightedSum(gathered), 3.0f * (1.0f + weight * weight));
+  EXPECT_FLOAT_EQ(fit_.CoefficientVariance(gathered),
+                  3.0f * (1.0f + weight * weight) / (1.0f + weight));
 }
 
 }  // namespace
