@@ -55,15 +55,8 @@ absl::Status JobSaver::SaveNow(JobId job) {
   if (catalogue_ == nullptr) return absl::OkStatus();
   absl::StatusOr<Snapshot> snapshot = Read(job);
   if (!snapshot.ok()) return absl::OkStatus();
-  if (HasEnded(snapshot->record) && snapshot->film != nullptr &&
-      snapshot->record.progress().samples() > 0) {
-    // Its end is for the thread to write, after the film. Until then it is one that is about to
-    // end: an older row may know nothing of what ended it, such as a cancellation.
-    snapshot->record.set_state(v1::JOB_STATE_FINISHING);
-    snapshot->record.clear_end_time();
-    snapshot->record.clear_digest();
-  }
-  return WriteRecord(job, *snapshot);
+  const bool may_end = snapshot->film == nullptr || snapshot->record.progress().samples() == 0;
+  return WriteRecord(job, *std::move(snapshot), may_end);
 }
 
 absl::Status JobSaver::RemoveNow(JobId job) {
@@ -81,7 +74,10 @@ void JobSaver::Stop() {
   if (catalogue_ == nullptr) return;
   const auto jobs = host_->Read([](const Coordinator& c) { return c.ListJobs(0, SIZE_MAX); });
   for (const v1::Job& job : jobs) {
-    if (HasEnded(job) || job.progress().samples() == 0) continue;
+    // What is FINISHING for clients may have ended, and only failed to be written.
+    const bool is_unfinished = host_->Read(
+        [&](const Coordinator& c) { return c.IsUnfinished(*ParseJobName(job.name())); });
+    if (!is_unfinished || job.progress().samples() == 0) continue;
     const bool may_have_grown =
         job.state() == v1::JOB_STATE_RUNNING || job.state() == v1::JOB_STATE_PAUSED;
     Write(*ParseJobName(job.name()), {.film = may_have_grown});
@@ -147,17 +143,30 @@ absl::StatusOr<JobSaver::Snapshot> JobSaver::Read(JobId job) const {
   return snapshot;
 }
 
-absl::Status JobSaver::WriteRecord(JobId job, const Snapshot& snapshot) {
-  std::lock_guard lock(record_mu_);
-  const bool exists = host_->Read([&](const Coordinator& c) { return c.GetJob(job).ok(); });
-  const std::pair state{snapshot.record.revision().counter(), HasEnded(snapshot.record)};
-  const auto last = recorded_.find(job);
-  if (!exists || (last != recorded_.end() && last->second > state)) return absl::OkStatus();
-  absl::Status status =
-      catalogue_->Put({job, snapshot.request_id, snapshot.record.SerializeAsString(),
-                       snapshot.suspects});
-  if (status.ok()) recorded_[job] = state;
-  return status;
+absl::Status JobSaver::WriteRecord(JobId job, Snapshot snapshot, bool may_end) {
+  v1::Job& record = snapshot.record;
+  {
+    std::lock_guard lock(record_mu_);
+    const bool exists = host_->Read([&](const Coordinator& c) { return c.GetJob(job).ok(); });
+    const auto last = recorded_.find(job);
+    // An end that is on disk stays there.
+    may_end = may_end || (last != recorded_.end() && last->second.second);
+    if (HasEnded(record) && !may_end) {
+      // Its end is for the thread to write, after the film. Until then it is one that is about to
+      // end: an older row may know nothing of what ended it, such as a cancellation.
+      record.set_state(v1::JOB_STATE_FINISHING);
+      record.clear_end_time();
+      record.clear_digest();
+    }
+    const std::pair state{record.revision().counter(), HasEnded(record)};
+    if (!exists || (last != recorded_.end() && last->second > state)) return absl::OkStatus();
+    const absl::Status status = catalogue_->Put(
+        {job, snapshot.request_id, record.SerializeAsString(), snapshot.suspects});
+    if (!status.ok()) return status;
+    recorded_[job] = state;
+  }
+  if (HasEnded(record)) host_->Post(RecordStoredEvent{.job = job, .has_ended = true});
+  return absl::OkStatus();
 }
 
 absl::Status JobSaver::RemoveRow(JobId job) {
@@ -195,16 +204,16 @@ absl::Status JobSaver::WriteJob(JobId job, const Request& request) {
     if (status.ok()) assets_->Release(job);
     return status;
   }
-  const absl::StatusOr<Snapshot> snapshot = Read(job);
+  absl::StatusOr<Snapshot> snapshot = Read(job);
   if (!snapshot.ok()) return absl::OkStatus();  // it is gone
   // The film first, and the record as it was before that: see the class.
   const bool with_film = request.film && snapshot->film != nullptr;
   if (with_film) status = WriteFilm(job, *snapshot->film);
-  if (status.ok()) status = WriteRecord(job, *snapshot);
+  // While samples come or go, what is stored may be of several moments.
+  const bool is_final =
+      HasEnded(snapshot->record) || snapshot->record.state() == v1::JOB_STATE_FINISHING;
+  if (status.ok()) status = WriteRecord(job, *std::move(snapshot), true);
   if (status.ok() && with_film) {
-    // While samples come or go, what is stored may be of several moments.
-    const bool is_final =
-        HasEnded(snapshot->record) || snapshot->record.state() == v1::JOB_STATE_FINISHING;
     host_->Post(FilmStoredEvent{job, is_final});
   }
   return status;
@@ -237,11 +246,18 @@ void JobSaver::NoteDisk(JobId job, const absl::Status& status) {
   host_->Post(DiskEvent{full_.empty() ? "" : std::string(status.message())});
 }
 
+void JobSaver::NoteFailure(JobId job, const absl::Status& status) {
+  if (status.ok() ? failing_.erase(job) == 0 : job == kBans) return;
+  if (!status.ok()) failing_.insert(job);
+  host_->Post(RecordStoredEvent{.job = job, .failure = std::string(status.message())});
+}
+
 void JobSaver::Write(JobId job, Request request) {
   const absl::Status status = job == kBans ? WriteBans() : WriteJob(job, request);
   NoteDisk(job, status);
   // Whoever took samples out of the film has asked for it to be written again.
   if (absl::IsAborted(status)) return;
+  NoteFailure(job, status);
   if (status.ok()) return;
   std::lock_guard lock(mu_);
   ServerLog().error("job={} is not saved{}: {}", job == kBans ? "bans" : absl::StrCat(job),

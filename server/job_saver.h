@@ -75,10 +75,14 @@ class JobSaver {
   absl::Status WriteBans();
   // Tells the coordinator when the disk is full, and when it has room again.
   void NoteDisk(JobId job, const absl::Status& status);
+  // Tells it which jobs cannot be written, and when they can again.
+  void NoteFailure(JobId job, const absl::Status& status);
   absl::Status WriteFilm(JobId job, const Film& film);
   absl::StatusOr<Snapshot> Read(JobId job) const;
-  // Writes the record unless a later one is written, or the job is gone.
-  absl::Status WriteRecord(JobId job, const Snapshot& snapshot);
+  // Writes the record unless a later one is written, or the job is gone. Of a job that has ended
+  // and whose film is still to be written, may_end=false: that it is about to end. Tells the
+  // coordinator when the record on disk says that the job has ended.
+  absl::Status WriteRecord(JobId job, Snapshot snapshot, bool may_end);
   absl::Status RemoveRow(JobId job);
 
   RowStorage* const catalogue_;
@@ -91,7 +95,8 @@ class JobSaver {
   // Of the row that was written last: its revision's counter, and whether it says that all is over.
   std::map<JobId, std::pair<uint64_t, bool>> recorded_;
 
-  std::set<JobId> full_;  // what found no room; of the thread that writes
+  // Of the thread that writes: what found no room, and what was not written for any reason.
+  std::set<JobId> full_, failing_;
 
   std::mutex mu_;  // guards all below
   std::condition_variable wake_;

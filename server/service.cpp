@@ -270,6 +270,7 @@ void Service::Impl::MakeServices(const ServiceOptions& options) {
   config_.audit_rate = options.audit_rate;
   std::random_device secret;  // decides who checks what, never a bit
   config_.audit_seed = uint64_t{secret()} << 32 | secret();
+  config_.stores_records = catalogue_ != nullptr;
   config_.film_bytes_max = HalfOfMemory();
   saver_ = std::make_unique<JobSaver>(catalogue_.get(), films_.get(), assets_.get());
   sessions_ = std::make_unique<WorkerSessions>([this](Event event) {

@@ -72,15 +72,32 @@ absl::StatusOr<v1::Job> Coordinator::GetJob(JobId id) const {
   if (it == jobs_.end()) {
     return absl::NotFoundError(absl::StrCat(JobName(id), " does not exist"));
   }
-  v1::Job record = it->second->record;
-  record.mutable_progress()->set_workers(static_cast<int>(it->second->leases_of_session.size()));
+  const Job& job = *it->second;
+  v1::Job record = job.record;
+  record.mutable_progress()->set_workers(static_cast<int>(job.leases_of_session.size()));
+  if (!WithholdsEnd(job)) return record;
+  if (record.state() == v1::JOB_STATE_FAILED) {
+    record.clear_error();
+    record.clear_stop_reason();
+  }
+  record.set_state(v1::JOB_STATE_FINISHING);
+  record.clear_end_time();
+  record.clear_digest();
+  if (!job.store_failure.empty()) {
+    record.set_waiting(absl::StrCat("the job's end cannot be written to the server's disk, which "
+                                    "is tried again every few seconds: ", job.store_failure));
+  }
   return record;
 }
 
 absl::StatusOr<v1::Job> Coordinator::RecordOf(JobId id) const {
-  absl::StatusOr<v1::Job> record = GetJob(id);
-  if (!record.ok() || jobs_.at(id)->plan.empty()) return record;
-  *record->mutable_plan() = CountsOf(jobs_.at(id)->plan, jobs_.at(id)->grid.tile_size());
+  const auto it = jobs_.find(id);
+  if (it == jobs_.end()) {
+    return absl::NotFoundError(absl::StrCat(JobName(id), " does not exist"));
+  }
+  const Job& job = *it->second;
+  v1::Job record = job.record;
+  if (!job.plan.empty()) *record.mutable_plan() = CountsOf(job.plan, job.grid.tile_size());
   return record;
 }
 
@@ -137,7 +154,7 @@ std::vector<Coordinator::LeaseView> Coordinator::ListLeases() const {
 CoordinatorTotals Coordinator::Totals() const {
   CoordinatorTotals totals = totals_;
   for (const auto& [id, job] : jobs_) {
-    ++totals.jobs[job->record.state()];
+    ++totals.jobs[WithholdsEnd(*job) ? v1::JOB_STATE_FINISHING : job->record.state()];
     if (job->queue == nullptr) continue;
     const int64_t wanted = SamplesTotal(*job) - job->film->samples() - job->samples_under_way;
     totals.samples_waiting[job->record.state()] += std::max<int64_t>(0, wanted);

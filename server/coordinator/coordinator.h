@@ -47,6 +47,8 @@ struct CoordinatorConfig {
   // count: 0 = none, 1 = all. Which ones they are is drawn from audit_seed, which nobody may guess.
   double audit_rate = 0;
   uint64_t audit_seed = 0;
+  // Whether records are stored: then no job is shown as ended before that is stored.
+  bool stores_records = false;
   // Of all films that are held in memory.
   int64_t film_bytes_max = int64_t{64} << 30;
 };
@@ -61,9 +63,9 @@ class Coordinator {
   // version), ALREADY_EXISTS (a delta that is covered, which is dropped).
   StepResult Step(Event event, Instant now);
 
-  // Errors: NOT_FOUND.
+  // As clients see it: one whose end is not stored yet is still FINISHING. Errors: NOT_FOUND.
   absl::StatusOr<v1::Job> GetJob(JobId job) const;
-  // GetJob, with what only a restart of the server needs. Errors: NOT_FOUND.
+  // As it is, with what only a restart of the server needs. Errors: NOT_FOUND.
   absl::StatusOr<v1::Job> RecordOf(JobId job) const;
   // Jobs with an id above `after`, ascending: at most `limit`, and bytes_max of their messages, but
   // one if there is any.
@@ -150,6 +152,7 @@ class Coordinator {
   void On(RestoreJobEvent& event);
   void On(RestoreBanEvent& event);
   void On(DiskEvent& event);
+  void On(RecordStoredEvent& event);
   void On(FilmStoredEvent& event);
   void On(WorkerConnectedEvent& event);
   void On(WorkerGoneEvent& event);
@@ -168,6 +171,7 @@ class Coordinator {
   void On(TickEvent& event);
 
   // Jobs (coordinator_jobs.cpp).
+  bool WithholdsEnd(const Job& job) const;
   Job* FindJob(JobId id);
   bool RepeatsRequest(const std::string& request_id, const std::string& kind, JobId* job);
   void RememberRequest(const std::string& request_id, const std::string& kind, JobId job);
@@ -187,6 +191,7 @@ class Coordinator {
   void ResetTile(Job& job, int64_t tile);
   void Fail(Job& job, const std::string& error);
   void StopWork(Job& job);
+  void NextRevision(Job& job);
   void Touch(Job& job);
   void Save(Job& job, bool with_film);
   int64_t SamplesTotal(const Job& job) const;  // while it has a queue

@@ -1,5 +1,6 @@
 // What clients do to jobs, and a job's states.
 #include <algorithm>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "server/coordinator/coordinator.h"
@@ -149,6 +150,20 @@ absl::Status Coordinator::CheckFirstFilm(const Job& job) const {
   }
   if (!FitsMemory(job)) return absl::ResourceExhaustedError(kFilmsFull);
   return absl::OkStatus();
+}
+
+// What a crash could take back is shown to nobody.
+bool Coordinator::WithholdsEnd(const Job& job) const {
+  return config_.stores_records && job.IsTerminal() && !job.end_stored;
+}
+
+void Coordinator::On(RecordStoredEvent& event) {
+  Job* const job = FindJob(event.job);
+  if (job == nullptr) return;
+  const bool was_withheld = WithholdsEnd(*job);
+  job->end_stored = job->end_stored || event.has_ended;
+  const bool is_news = std::exchange(job->store_failure, event.failure) != event.failure;
+  if (was_withheld && (is_news || job->end_stored)) Touch(*job);
 }
 
 void Coordinator::On(FilmStoredEvent& event) {
@@ -376,10 +391,11 @@ void Coordinator::SetState(Job& job, v1::JobState state) {
     order_.erase(place);
   }
   waiting_changed_of_.insert(job.id);
-  Touch(job);
+  // Watchers are told once they may know; a message that says nothing new would put that off.
+  WithholdsEnd(job) ? NextRevision(job) : Touch(job);
 }
 
-void Coordinator::Touch(Job& job) {
+void Coordinator::NextRevision(Job& job) {
   if (job.queue != nullptr) {
     const int64_t spent_ms = job.ElapsedMs(now_.monotonic_ms);
     google::protobuf::Duration& time = *job.record.mutable_progress()->mutable_work_time();
@@ -388,6 +404,10 @@ void Coordinator::Touch(Job& job) {
   }
   job.record.mutable_revision()->set_incarnation(config_.incarnation);
   job.record.mutable_revision()->set_counter(++revision_);
+}
+
+void Coordinator::Touch(Job& job) {
+  NextRevision(job);
   result_.effects.emplace_back(JobChangedEffect{job.id});
 }
 

@@ -47,6 +47,7 @@ void Coordinator::On(RestoreJobEvent& event) {
   Touch(added);
   if (added.IsTerminal()) {
     added.film_final_stored = true;
+    added.end_stored = true;
     return;
   }
   // The record may be newer than the film, whose samples alone count.
@@ -68,6 +69,7 @@ void Coordinator::GoOn(Job& job) {
   job.record.clear_sample_counts();  // of the end of an earlier run, perhaps with a later film
   if (job.record.state() == v1::JOB_STATE_FINISHING) {
     const v1::StopReason reason = job.record.stop_reason();
+    if (reason == v1::STOP_REASON_FAILED) return Fail(job, job.record.error());
     if (reason == v1::STOP_REASON_CANCELLED) job.film->DropWaiting();
     CountFilm(job);
     const bool is_whole = job.film->samples() == samples_before;

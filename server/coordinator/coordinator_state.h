@@ -107,6 +107,8 @@ struct Coordinator::Job {
   int64_t saved_film_ms = 0;
   bool film_changed = false;  // since it was saved
   bool film_final_stored = false;  // it is on disk as it will stay
+  bool end_stored = false;         // the record that says that it has ended is on disk
+  std::string store_failure;       // why its record could not be stored lately; empty = it could
   std::string last_decline;   // what the last worker said that declined
 
   bool IsTerminal() const {

@@ -70,6 +70,12 @@ struct RestoreBanEvent {
 struct DiskEvent {
   std::string full{};  // why; empty = there is room
 };
+// The job's record was written to disk, or could not be and is tried again.
+struct RecordStoredEvent {
+  JobId job = 0;
+  bool has_ended = false;  // what is stored says that the job has
+  std::string failure{};   // why it could not be written; empty = it was
+};
 // The film was written to disk.
 struct FilmStoredEvent {
   JobId job = 0;
@@ -159,8 +165,8 @@ struct TickEvent {
 
 using Event =
     std::variant<CreateJobEvent, JobCommandEvent, LookEvent, RestoreJobEvent, RestoreBanEvent,
-                 DiskEvent, FilmStoredEvent,
-                 WorkerConnectedEvent, WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
+                 DiskEvent, RecordStoredEvent, FilmStoredEvent, WorkerConnectedEvent,
+                 WorkerGoneEvent, DeltaEvent, HeartbeatEvent, DeclineEvent,
                  SceneReadyEvent, SceneFailureEvent, DrainEvent, PictureEvent, FilterOfferEvent,
                  FilterWithdrawEvent, FilteredEvent, FilterLieEvent, JobFinishedEvent, TickEvent>;
 

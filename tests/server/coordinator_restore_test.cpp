@@ -252,6 +252,23 @@ TEST(CoordinatorRestore, ARestartMayFallBetweenTwoPasses) {
   }
 }
 
+// Its row said that it was about to end, as its film was not on disk yet.
+TEST(CoordinatorRestore, AFailureStaysOne) {
+  SimulatedFarm before;
+  const JobId job = before.Create(SmallSettings(16));
+  before.Connect();
+  before.answer_pictures = false;
+  before.RunAll();
+  RestoreJobEvent event{.job = before.Job(job), .request_id = "", .film = CopyOfFilm(before, job)};
+  ASSERT_EQ(event.job.state(), v1::JOB_STATE_FINISHING);
+  event.job.set_stop_reason(v1::STOP_REASON_FAILED);
+  event.job.set_error("the scene is broken");
+  SimulatedFarm after;
+  after.Post(std::move(event));
+  EXPECT_EQ(after.Job(job).state(), v1::JOB_STATE_FAILED);
+  EXPECT_EQ(after.Job(job).error(), "the scene is broken");
+}
+
 // Amid an epoch the film is ahead of what the decision to begin that epoch saw.
 TEST(CoordinatorRestore, ARestartAmidAnEpochDoesNotDecideAnew) {
   v1::JobSettings settings = SmallSettings(1024);

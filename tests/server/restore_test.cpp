@@ -16,6 +16,12 @@ namespace {
 
 constexpr int64_t kPixels = 190;
 
+CoordinatorConfig StoringConfig() {
+  CoordinatorConfig config = SmallConfig();
+  config.stores_records = true;
+  return config;
+}
+
 class NoEffects : public EffectSink {
  public:
   void Apply(const Effect&) override {}
@@ -28,7 +34,7 @@ class ServerRun {
       : catalogue(*Catalogue::Open(dir + "/jobs.sqlite")),
         films(*FilmStore::Open(dir + "/films")),
         assets(*AssetStore::Open(dir + "/assets", 0)),
-        host(SmallConfig(), effects),
+        host(StoringConfig(), effects),
         saver(std::make_unique<JobSaver>(catalogue.get(), films.get(), assets.get())) {}
 
   absl::Status Restore() {
@@ -36,6 +42,13 @@ class ServerRun {
   }
   v1::Job Job(JobId id) const {
     return *host.Read([&](const Coordinator& c) { return c.GetJob(id); });
+  }
+  // Once its end, if it has one, is on disk.
+  v1::Job SavedJob(JobId id) {
+    saver->Attach(&host);
+    saver->Save(id, false);
+    EXPECT_TRUE(saver->WriteDue());
+    return Job(id);
   }
   bool Has(JobId id) const {
     return host.Read([&](const Coordinator& c) { return c.GetJob(id).ok(); });
@@ -134,7 +147,7 @@ TEST_F(RestoreTest, DamageCostsItsOwnJobOnly) {
 
   ASSERT_TRUE(run_->Restore().ok());
   for (const JobId id : {1u, 2u, 4u, 5u, 6u, 7u}) EXPECT_FALSE(run_->Has(id)) << id;
-  EXPECT_EQ(run_->Job(8).state(), v1::JOB_STATE_FAILED) << "its assets are lost";
+  EXPECT_EQ(run_->SavedJob(8).state(), v1::JOB_STATE_FAILED) << "its assets are lost";
   EXPECT_NE(run_->Job(8).error().find("submit"), std::string::npos);
   EXPECT_EQ(run_->Job(9).state(), v1::JOB_STATE_DONE) << "it needs them no more";
   EXPECT_EQ(run_->Job(10).progress().samples(), 8 * kPixels);
@@ -164,7 +177,7 @@ TEST_F(RestoreTest, AJobThatWasFinishingWithALaterFilmRendersTheRest) {
   EXPECT_EQ(run_->Job(1).state(), v1::JOB_STATE_QUEUED);
   EXPECT_EQ(run_->Job(2).state(), v1::JOB_STATE_FINISHING);
   EXPECT_EQ(run_->Job(3).state(), v1::JOB_STATE_FINISHING) << "a cancelled job goes on no more";
-  EXPECT_EQ(run_->Job(4).state(), v1::JOB_STATE_CANCELLED);
+  EXPECT_EQ(run_->SavedJob(4).state(), v1::JOB_STATE_CANCELLED);
 }
 
 TEST_F(RestoreTest, AnotherVersionsSamplesLeaveTheDisk) {
@@ -279,12 +292,19 @@ TEST_F(SaverTest, AnEndIsNotWrittenBeforeTheFilm) {
   Merge();
   ASSERT_TRUE(run_->host.Post(JobCommandEvent{JobCommand::kCancel, job_, ""}).status.ok());
   run_->host.Post(JobFinishedEvent{job_, {}});
-  ASSERT_EQ(run_->Job(job_).state(), v1::JOB_STATE_CANCELLED);
   ASSERT_TRUE(run_->saver->SaveNow(job_).ok());
-  EXPECT_NE(AfterKill().digest(), run_->Job(job_).digest());
+  EXPECT_EQ(AfterKill().digest(), "");
+  EXPECT_EQ(run_->Job(job_).state(), v1::JOB_STATE_FINISHING) << "what a kill would take back";
+  EXPECT_FALSE(run_->Job(job_).has_end_time());
+  EXPECT_EQ(run_->Job(job_).digest(), "");
+  const uint64_t revision = run_->Job(job_).revision().counter();
   run_->saver->Save(job_, true);
   run_->saver->Stop();
   EXPECT_EQ(AfterKill().state(), v1::JOB_STATE_CANCELLED);
+  EXPECT_EQ(run_->Job(job_).state(), v1::JOB_STATE_CANCELLED);
+  EXPECT_TRUE(run_->Job(job_).has_end_time());
+  EXPECT_EQ(run_->Job(job_).digest(), AfterKill().digest());
+  EXPECT_GT(run_->Job(job_).revision().counter(), revision) << "watches are told";
 }
 
 // Its film is still to be written, but that it was cancelled must not be forgotten meanwhile.
@@ -302,7 +322,6 @@ TEST_F(RestoreTest, AnAcknowledgedCancellationIsOnDiskBeforeTheFilm) {
   ASSERT_TRUE(run_->host.Post(std::move(delta)).status.ok());
   ASSERT_TRUE(run_->host.Post(JobCommandEvent{JobCommand::kCancel, job, ""}).status.ok());
   run_->host.Post(JobFinishedEvent{job, {}});
-  ASSERT_EQ(run_->Job(job).state(), v1::JOB_STATE_CANCELLED);
   ASSERT_TRUE(run_->saver->SaveNow(job).ok());
   v1::Job row;
   ASSERT_TRUE(row.ParseFromString(run_->catalogue->ReadAll()->at(0).record));
@@ -403,6 +422,30 @@ TEST_F(RestoreTest, AFullDiskStopsJobsUntilWhatFailedIsWritten) {
   now += std::chrono::seconds(6);
   EXPECT_TRUE(saver.WriteDue());
   EXPECT_EQ(waiting(job).find("disk is full"), std::string::npos);
+}
+
+// A client must not wait for an end without a word.
+TEST_F(RestoreTest, AnEndThatCannotBeWrittenIsShownLaterAndSaysWhy) {
+  FullRows rows;
+  JobSaver::Clock::time_point now{};
+  JobSaver saver(&rows, run_->films.get(), run_->assets.get(), [&] { return now; });
+  saver.Attach(&run_->host);
+  const JobId job = run_->host.Post(CreateJobEvent{.settings = settings_}).job;
+  rows.full = true;
+  ASSERT_TRUE(run_->host.Post(JobCommandEvent{JobCommand::kCancel, job, ""}).status.ok());
+  EXPECT_EQ(run_->Job(job).state(), v1::JOB_STATE_FINISHING);
+  const uint64_t revision = run_->Job(job).revision().counter();
+  saver.Save(job, false);
+  EXPECT_TRUE(saver.WriteDue());
+  EXPECT_EQ(run_->Job(job).state(), v1::JOB_STATE_FINISHING);
+  EXPECT_NE(run_->Job(job).waiting().find("no space left"), std::string::npos)
+      << run_->Job(job).waiting();
+  EXPECT_GT(run_->Job(job).revision().counter(), revision) << "watches are told";
+  rows.full = false;
+  now += std::chrono::seconds(6);
+  EXPECT_TRUE(saver.WriteDue());
+  EXPECT_EQ(run_->Job(job).state(), v1::JOB_STATE_CANCELLED);
+  EXPECT_EQ(run_->Job(job).waiting(), "");
 }
 
 TEST_F(RestoreTest, ADeletedJobDoesNotKeepTheDiskFull) {

@@ -91,7 +91,9 @@ struct FaultPlan {
   int64_t faults_end_us = 0;  // after that nothing breaks any more
   int64_t end_us = 0;         // by then every job has ended
   bool is_large = false;      // 200 workers, 20 jobs
-  bool saves_films = true;    // false is a mistake, for tests of the checkers
+  // For tests of the checkers, each a mistake if false.
+  bool saves_films = true;
+  bool withholds_ends = true;  // until they are on disk
 };
 
 inline std::string SimHostName(int worker) { return "host" + std::to_string(worker); }

@@ -124,6 +124,7 @@ void SimClient::CheckAcknowledged() {
   if (deleted_ && status.ok()) checkers_.Fail(absl::StrCat(name_, " is back after its deletion"));
   if (deleted_) return;
   if (!status.ok()) return checkers_.Fail(absl::StrCat(name_, " is lost: ", status.ToString()));
+  CheckEndStays(job);
   // A paused job takes what was on its way, and may end by that.
   const bool is_over = HasEnded(job) || job.state() == v1::JOB_STATE_FINISHING;
   if (paused_ && job.state() != v1::JOB_STATE_PAUSED && !is_over) {
@@ -133,6 +134,19 @@ void SimClient::CheckAcknowledged() {
   if (cancelled_ && !is_over) {
     checkers_.Fail(absl::StrCat(name_, " was cancelled, and is in state ",
                                 v1::JobState_Name(job.state())));
+  }
+}
+
+// An end that a client has been shown is not taken back, whatever dies.
+void SimClient::CheckEndStays(const v1::Job& job) {
+  if (!HasEnded(end_)) {
+    end_ = job;
+  } else if (job.state() != end_.state() || job.digest() != end_.digest() ||
+             job.progress().samples() != end_.progress().samples()) {
+    checkers_.Fail(absl::StrCat(name_, " had ended, with ", v1::JobState_Name(end_.state()),
+                                " and ", end_.progress().samples(), " samples, and is ",
+                                v1::JobState_Name(job.state()), " with ",
+                                job.progress().samples()));
   }
 }
 

@@ -44,6 +44,7 @@ class SimClient {
   void Look();
   void Steer(JobCommand command, std::function<void()> then);
   void FollowFate();
+  void CheckEndStays(const v1::Job& job);
 
   const int index_;
   const JobPlan& plan_;
@@ -52,6 +53,7 @@ class SimClient {
   SimServer& server_;
   Checkers& checkers_;
   SimWatcher watcher_;
+  v1::Job end_;       // as it was last shown, and stays once it has ended
   std::string name_;  // of the job, once it is acknowledged
   bool steering_ = false;
   bool fate_done_ = false;

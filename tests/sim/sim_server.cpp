@@ -110,6 +110,7 @@ class SimServer::Run : public EffectSink {
     config.lease_ttl_ms = server_.plan_.lease_ttl_ms;
     config.lease_target_ms = server_.plan_.lease_target_ms;
     config.checkpoint_interval_ms = server_.plan_.checkpoint_ms;
+    config.stores_records = server_.plan_.withholds_ends;
     config.build_budget_ms = server_.plan_.build_budget_ms;
     config.audit_rate = server_.plan_.audit_rate;
     config.audit_seed = server_.plan_.seed;

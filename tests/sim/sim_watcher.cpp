@@ -105,8 +105,6 @@ void SimWatcher::Deliver(uint64_t stream, const v1::Job& message) {
 void SimWatcher::CheckEnd(const v1::Job& job) const {
   if (!checkers_.violation().empty()) return;
   if (is_gone_) return checkers_.Fail(absl::StrCat("a watch takes ", job_, " for deleted"));
-  // An end that was seen before it was on the disk may be another one after a crash.
-  if (seen_.revision().incarnation() != job.revision().incarnation()) return;
   // Where one looks may be set after the end as well.
   v1::JobSettings seen_settings = seen_.settings(), settings = job.settings();
   seen_settings.clear_look();

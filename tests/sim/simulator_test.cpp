@@ -153,6 +153,14 @@ TEST(Checkpoints, AMissingOneIsFound) {
   EXPECT_NE(Simulate(plan).violation.find("long enough before"), std::string::npos);
 }
 
+// The server is killed after it has told of an end, and before that is on disk.
+TEST(Ends, OneThatIsShownEarlyIsFound) {
+  FaultPlan plan = MakeFaultPlan(247);
+  EXPECT_EQ(Simulate(plan).violation, "");
+  plan.withholds_ends = false;
+  EXPECT_NE(Simulate(plan).violation.find("had ended"), std::string::npos);
+}
+
 // Seeds that found something, each with what it found. Targeted tests go with them.
 TEST(Regressions, Hold) {
   // A lost JobSpec: the leases of its job were declined for ever (REASON_UNKNOWN_JOB).
@@ -175,6 +183,9 @@ TEST(Regressions, Hold) {
   ExpectHolds(1055);
   // Leases were raced only after twice what leases took, however long that was (MayRace).
   ExpectHolds(4779);
+  // An end was shown before it was on disk (WithholdsEnd).
+  ExpectHolds(171);
+  ExpectHolds(556);
 }
 
 }  // namespace
