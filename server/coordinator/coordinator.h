@@ -3,8 +3,8 @@
 // the catalogue and the film checkpoints (RestoreJobEvent) loses samples but no job, and never
 // counts a sample twice.
 //
-// Fair shares: the highest priority that has work goes first; equal priorities share by samples
-// merged and under way. A worker holds as many leases as it has threads, and a few more to hide
+// Fair shares: the highest priority that has work goes first; equal priorities share by the time
+// that their leases take. A worker holds as many leases as it has threads, and a few more to hide
 // latency.
 // Threads: none; the caller serialises all calls.
 #pragma once
@@ -270,7 +270,7 @@ class Coordinator {
   bool GrantOne(Worker& worker);
   bool GrantFrom(std::vector<Job*>& jobs, Worker& worker);
   int64_t LeaseSize(const Worker& worker, const Job& job) const;
-  void NoteSpeed(Worker& worker, const Job& job, const Lease& lease, const DeltaEvent& event);
+  void NoteSpeed(Worker& worker, const Lease& lease, const DeltaEvent& event);
   void NoteIngest(double load);
   void Grant(Worker& worker, Job& job, const Unit& unit);
   size_t LeasesAhead(const Worker& worker) const;

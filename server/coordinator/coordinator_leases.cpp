@@ -13,8 +13,6 @@ namespace {
 
 // Jobs of one priority that share the workers; later ones wait until these hand out nothing.
 constexpr size_t kSharingJobsMax = 8;
-// Of a scene of which nothing is known yet.
-constexpr double kUnknownNsPerSample = 5000;
 // Shares of the server's time that deltas take: leases grow above the one, shrink below the other.
 constexpr double kBusyIngest = 0.5;
 constexpr double kIdleIngest = 0.25;
@@ -137,17 +135,19 @@ bool Coordinator::GrantOne(Worker& worker) {
 }
 
 // Whoever has been served least comes first, what is under way included: shares are equal however
-// few leases the farm holds. Nobody is further behind than a lease: who had no work, has just come,
-// or never brings back what it has gets no more than its share for that.
+// few leases the farm holds. Of time rather than of samples: those of one scene may cost a hundred
+// times those of another. Nobody is further behind than a lease: who had no work, has just come, or
+// never brings back what it has gets no more than its share for that.
 bool Coordinator::GrantFrom(std::vector<Job*>& jobs, Worker& worker) {
-  int64_t most = 0, lease = 0;
+  double most = 0, lease = 0;
   for (const Job* const job : jobs) {
-    most = std::max(most, job->served);
-    lease = std::max(lease, job->lease_samples);
+    most = std::max(most, job->served_ns);
+    lease = std::max(lease, job->lease_ns);
   }
-  for (Job* const job : jobs) job->served = std::max(job->served, most - lease);
-  std::ranges::stable_sort(jobs, {},
-                           [](const Job* job) { return job->served + job->samples_under_way; });
+  for (Job* const job : jobs) job->served_ns = std::max(job->served_ns, most - lease);
+  std::ranges::stable_sort(jobs, {}, [](const Job* job) {
+    return job->served_ns + static_cast<double>(job->samples_under_way) * job->NsPerSample();
+  });
   for (Job* const job : jobs) {
     std::optional<Unit> unit = AuditFor(*job, worker);
     if (!unit && job->audits.size() < kAuditsMax) unit = TakeUnit(*job, LeaseSize(worker, *job));
@@ -177,15 +177,21 @@ int64_t Coordinator::LeaseSize(const Worker& worker, const Job& job) const {
 }
 
 // What a worker says of its time counts as far as it is possible.
-void Coordinator::NoteSpeed(Worker& worker, const Job& job, const Lease& lease,
-                            const DeltaEvent& event) {
+void Coordinator::NoteSpeed(Worker& worker, const Lease& lease, const DeltaEvent& event) {
+  Job& job = *jobs_.at(lease.job);
   const auto& time = event.delta.render_time();
   const int64_t held_ms = now_.monotonic_ms - lease.issued_ms + 1;
   const double ns = std::min(1e9 * static_cast<double>(time.seconds()) + time.nanos(),
                              1e6 * static_cast<double>(held_ms));
   const auto samples =
       static_cast<double>(lease.unit.range.size() * job.grid.WindowOf(lease.unit.tile).area());
-  if (!(ns > 0)) return;
+  if (!(ns > 0)) {
+    job.served_ns += samples * job.NsPerSample();
+    return;
+  }
+  job.served_ns += ns;
+  job.rendered_ns += ns;
+  job.rendered_samples += samples;
   double& own = worker.ns_per_sample.try_emplace(job.id, ns / samples).first->second;
   own = 0.5 * (own + ns / samples);
   worker.render_ms = worker.render_ms > 0 ? 0.5 * (worker.render_ms + 1e-6 * ns) : 1e-6 * ns;
@@ -220,8 +226,9 @@ void Coordinator::Grant(Worker& worker, Job& job, const Unit& unit) {
   ++job.leases_of_session[worker.session];
   job.leases_of_unit[unit].push_back(id);
   job.samples_under_way += unit.range.size() * window.area();
-  const int64_t tile_samples = unit.range.size() * job.grid.tile_size() * job.grid.tile_size();
-  job.lease_samples = std::max(tile_samples, job.lease_samples - job.lease_samples / 8);
+  const auto tile_samples =
+      static_cast<double>(unit.range.size() * job.grid.tile_size() * job.grid.tile_size());
+  job.lease_ns = std::max(tile_samples * job.NsPerSample(), job.lease_ns * 7 / 8);
   CountFilm(job);
   if (job.work_ms == 0) job.work_ms = now_.monotonic_ms;
   if (job.record.state() == v1::JOB_STATE_QUEUED) SetState(job, v1::JOB_STATE_RUNNING);

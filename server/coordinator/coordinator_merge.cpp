@@ -88,7 +88,7 @@ void Coordinator::On(DeltaEvent& event) {
   const auto lease = leases_.find(event.delta.lease_id());
   const bool was_leased = lease != leases_.end() && lease->second.session == event.session;
   if (was_leased) {
-    NoteSpeed(*worker, *job, lease->second, event);
+    NoteSpeed(*worker, lease->second, event);
     NoteWait(lease->second, event);
     RenewFollowers(*worker);
     const bool units_changed = units_changed_;
@@ -149,7 +149,6 @@ void Coordinator::Merge(Job& job, DeltaEvent& event) {
   }
 
   CountFilm(job);
-  job.served += unit.range.size() * job.grid.WindowOf(unit.tile).area();
   job.film_changed = true;
   if (job.first_merge_ms == 0) job.first_merge_ms = now_.monotonic_ms;
   const TileCost cost = CostOfDelta(event);

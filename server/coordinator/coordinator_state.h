@@ -44,6 +44,9 @@ inline int64_t MaxTimeMs(const v1::JobSettings& settings) {
   return settings.max_time().seconds() * 1000 + settings.max_time().nanos() / 1000000;
 }
 
+// Of a scene of which nothing is known yet.
+inline constexpr double kUnknownNsPerSample = 5000;
+
 // What hosts say of a unit that is audited: who, and the SHA-256 of what it rendered.
 struct Testimony {
   std::string host;
@@ -75,10 +78,13 @@ struct Coordinator::Job {
   std::map<SessionId, int> leases_of_session;
   std::map<Unit, std::vector<LeaseId>> leases_of_unit;
   int64_t samples_under_way = 0;
-  // Of its share (see GrantFrom): samples merged, or more where it would be too far behind, and
-  // about the largest lease lately, of whole tiles.
-  int64_t served = 0;
-  int64_t lease_samples = 0;
+  // Of its share (see GrantFrom), in time of threads: what its leases have taken, or more where it
+  // would be too far behind, and about the longest lease lately, of whole tiles.
+  double served_ns = 0;
+  double lease_ns = 0;
+  // What leases have taken, and their samples, in this incarnation.
+  double rendered_ns = 0;
+  double rendered_samples = 0;
   // Units that are not the queue's to hand out while they are listed here.
   std::map<Unit, std::vector<Testimony>> audits;
   std::set<Unit> audits_waiting;  // those that nobody renders just now
@@ -111,6 +117,9 @@ struct Coordinator::Job {
   std::string store_failure;       // why its record could not be stored lately; empty = it could
   std::string last_decline;   // what the last worker said that declined
 
+  double NsPerSample() const {
+    return rendered_samples > 0 ? rendered_ns / rendered_samples : kUnknownNsPerSample;
+  }
   bool IsTerminal() const {
     return record.state() == v1::JOB_STATE_DONE || record.state() == v1::JOB_STATE_CANCELLED ||
            record.state() == v1::JOB_STATE_FAILED;

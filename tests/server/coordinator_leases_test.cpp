@@ -93,6 +93,34 @@ TEST(CoordinatorLeases, SharesAreEqualOnSmallFarmsToo) {
   }
 }
 
+// Samples of one job cost a hundred times those of the other: it is time that is shared, or the
+// cheap job would have one lease for a hundred of the other's.
+TEST(CoordinatorLeases, SharesAreOfTimeNotOfSamples) {
+  for (const bool cheap_first : {true, false}) {
+    SimulatedFarm farm(ShortLeases());
+    const JobId first = farm.Create(SmallSettings(1 << 20));
+    const SessionId worker = farm.Connect(1);
+    std::map<std::string, int64_t> us_of_job;
+    const auto render = [&](JobId cheap) {
+      const v1::Lease lease = farm.workers[worker].leases.front();
+      farm.workers[worker].leases.pop_front();
+      const int64_t us = (lease.sample_end() - lease.sample_begin()) * lease.window().width() *
+                         lease.window().height() * (lease.job() == JobName(cheap) ? 1 : 100);
+      us_of_job[lease.job()] += us;
+      DeltaEvent event = farm.Render(worker, lease);
+      event.delta.mutable_render_time()->set_nanos(static_cast<int>(us) * 1000);
+      farm.now_ms += us / 1000;
+      farm.Post(std::move(event));
+    };
+    for (int i = 0; i < 100; ++i) render(cheap_first ? first : first + 1);
+    const JobId second = farm.Create(SmallSettings(1 << 20));
+    us_of_job.clear();
+    for (int i = 0; i < 1000; ++i) render(cheap_first ? first : second);
+    EXPECT_LT(us_of_job[JobName(first)], 1.2 * static_cast<double>(us_of_job[JobName(second)]));
+    EXPECT_LT(us_of_job[JobName(second)], 1.2 * static_cast<double>(us_of_job[JobName(first)]));
+  }
+}
+
 TEST(CoordinatorLeases, ALaterJobSharesFromThenOn) {
   SimulatedFarm farm(ShortLeases());
   const JobId first = farm.Create(SmallSettings(4096));
