@@ -41,13 +41,16 @@ absl::Status JobRequests::Create(const v1::CreateJobRequest& request, const std:
                        .film = nullptr};
   if (absl::Status status = assets_.CheckQuota(); !status.ok()) return status;
   if (absl::Status status = assets_.CheckPresent(digests); !status.ok()) return status;
+  std::unique_lock film_lock(film_mu_, std::defer_lock);
   if (!request.continue_film_sha256().empty()) {
+    film_lock.lock();
     absl::StatusOr<std::shared_ptr<Film>> film =
         ReadFilm(request.continue_film_sha256(), *settings);
     if (!film.ok()) return film.status();
     event.film = *std::move(film);
   }
   const CoordinatorHost::Answer answer = host_.Post(std::move(event));
+  if (film_lock.owns_lock()) film_lock.unlock();
   if (!answer.status.ok()) return answer.status;
   absl::Status status = assets_.Reference(answer.job, digests);
   // A job that has been deleted (a repeated request's, too) gives no references back any more.
@@ -70,9 +73,12 @@ absl::StatusOr<std::shared_ptr<Film>> JobRequests::ReadFilm(const std::string& s
     return absl::InvalidArgumentError("continue_film_sha256 is not 32 bytes long");
   }
   if (absl::Status status = assets_.CheckPresent({*digest}); !status.ok()) return status;
+  const absl::StatusOr<int64_t> room =
+      host_.Read([&](const Coordinator& c) { return c.RoomForFilm(settings); });
+  if (!room.ok()) return room.status();
   const absl::StatusOr<StoredFile> file = assets_.OpenFile(*digest);
   if (!file.ok()) return file.status();
-  return ReadContinuedFilm(file->path(), settings, kVersion);
+  return ReadContinuedFilm(file->path(), settings, kVersion, *room);
 }
 
 absl::Status JobRequests::Get(const std::string& name, v1::Job* response) const {

@@ -3,6 +3,7 @@
 
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <string>
 
 #include "absl/status/status.h"
@@ -50,6 +51,8 @@ class JobRequests {
   AssetStore& assets_;
   const SettingsDefaults defaults_;
   const JobKeeper keeper_;
+  // Held from before a film is read until its job has it: the room for films is counted for jobs.
+  std::mutex film_mu_;
 };
 
 }  // namespace tessera

@@ -111,6 +111,9 @@ class Coordinator {
   v1::Contributions ContributionsOf(JobId job) const;
   // How often samples were taken out of the job's film, since the server was started.
   int64_t ResetsOf(JobId job) const;
+  // The bytes that a film may take which a job of these complete settings is to go on from. Errors:
+  // RESOURCE_EXHAUSTED, if there is no room for one.
+  absl::StatusOr<int64_t> RoomForFilm(const v1::JobSettings& settings) const;
   // Whether the job exists and has not ended.
   bool IsUnfinished(JobId job) const;
   bool IsBanned(const std::string& host) const { return banned_.contains(host); }
@@ -187,6 +190,7 @@ class Coordinator {
   void ApplyLook(Job& job);
   void Finish(Job& job, v1::StopReason reason);
   absl::Status CheckFirstFilm(const Job& job) const;
+  absl::Status CheckFilmSize(const TileGrid& grid) const;
   void RestorePlan(Job& job);
   void ResetTile(Job& job, int64_t tile);
   void Fail(Job& job, const std::string& error);

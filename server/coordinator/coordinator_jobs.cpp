@@ -106,13 +106,8 @@ void Coordinator::On(CreateJobEvent& event) {
   if (!s.auto_depth()) job->record.set_max_depth(s.max_depth());
   job->grid = TileGrid(RegionOf(s), s.tile_size());
   job->film = event.film ? std::move(event.film) : std::make_shared<Film>(EmptyFilmOf(s));
-  if (FilmBytesOf(job->grid) > config_.film_bytes_max) {
-    result_.status = absl::ResourceExhaustedError(absl::StrCat(
-        "settings.width x settings.height: the film of this job needs ",
-        FilmBytesOf(job->grid) >> 20, " MiB, the server has ", config_.film_bytes_max >> 20,
-        " MiB for films: render the frame in parts (settings.region)"));
-    return;
-  }
+  result_.status = CheckFilmSize(job->grid);
+  if (!result_.status.ok()) return;
   if (job->film->samples() > 0) {
     result_.status = CheckFirstFilm(*job);
     if (!result_.status.ok()) return;
@@ -130,6 +125,22 @@ void Coordinator::On(CreateJobEvent& event) {
   SetState(added, v1::JOB_STATE_QUEUED);
   StartQueue(added);
   Save(added, added.film->samples() > 0);
+}
+
+absl::Status Coordinator::CheckFilmSize(const TileGrid& grid) const {
+  if (FilmBytesOf(grid) <= config_.film_bytes_max) return absl::OkStatus();
+  return absl::ResourceExhaustedError(absl::StrCat(
+      "settings.width x settings.height: the film of this job needs ", FilmBytesOf(grid) >> 20,
+      " MiB, the server has ", config_.film_bytes_max >> 20,
+      " MiB for films: render the frame in parts (settings.region)"));
+}
+
+absl::StatusOr<int64_t> Coordinator::RoomForFilm(const v1::JobSettings& settings) const {
+  const TileGrid grid(RegionOf(settings), settings.tile_size());
+  if (absl::Status status = CheckFilmSize(grid); !status.ok()) return status;
+  const int64_t room = config_.film_bytes_max - film_bytes_;
+  if (room < FilmBytesOf(grid)) return absl::ResourceExhaustedError(kFilmsFull);
+  return room;
 }
 
 // Whether a new job may begin with the film that it was given.

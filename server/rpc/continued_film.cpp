@@ -126,8 +126,11 @@ std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid) {
 
 absl::StatusOr<std::shared_ptr<Film>> ReadContinuedFilm(const std::string& path,
                                                         const v1::JobSettings& job,
-                                                        const std::string& version) {
-  const absl::StatusOr<FilmFile> file = ReadFilmFile(path, LimitsOf(job));
+                                                        const std::string& version,
+                                                        int64_t memory_max) {
+  FilmReadLimits limits = LimitsOf(job);
+  limits.bytes_max = std::min(limits.bytes_max, memory_max);
+  const absl::StatusOr<FilmFile> file = ReadFilmFile(path, limits);
   if (!file.ok()) return file.status();
   if (file->version != version) {
     return absl::InvalidArgumentError(absl::StrCat(

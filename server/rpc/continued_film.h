@@ -2,6 +2,7 @@
 // into the job's tiles.
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <string>
 
@@ -21,10 +22,12 @@ absl::Status CheckSameSamples(const v1::JobSettings& film, const v1::JobSettings
 std::shared_ptr<Film> CutFilm(const FilmFile& file, const TileGrid& grid);
 
 // Reads the file at `path`; `version`: this program's, other versions may draw other bits (C2).
-// No more memory is taken than a film of the job's size can need: its bytes are a stranger's.
+// No more memory is taken for its nodes than a film of the job's size can need, nor more than
+// memory_max: its bytes are a stranger's.
 // Errors: those; INVALID_ARGUMENT naming the film's version if it is another; as ReadFilmFile.
 absl::StatusOr<std::shared_ptr<Film>> ReadContinuedFilm(const std::string& path,
                                                         const v1::JobSettings& job,
-                                                        const std::string& version);
+                                                        const std::string& version,
+                                                        int64_t memory_max = INT64_MAX);
 
 }  // namespace tessera

@@ -64,6 +64,8 @@ TEST(ReadContinuedFilm, TakesFilmsOfItsVersionOnly) {
   const auto same = ReadContinuedFilm(path, settings, "1.2.3");
   ASSERT_TRUE(same.ok()) << same.status();
   EXPECT_EQ((*same)->Digest(), film.Digest());
+  const absl::Status narrow = ReadContinuedFilm(path, settings, "1.2.3", 1000).status();
+  EXPECT_TRUE(absl::IsInvalidArgument(narrow)) << "more than there is memory for";
   const absl::Status other = ReadContinuedFilm(path, settings, "1.2.4").status();
   EXPECT_TRUE(absl::IsInvalidArgument(other));
   EXPECT_NE(other.message().find("version 1.2.3, this is version 1.2.4"), absl::string_view::npos)

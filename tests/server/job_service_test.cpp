@@ -62,6 +62,21 @@ class JobServiceTest : public testing::Test {
   std::unique_ptr<v1::JobService::Stub> stub_;
 };
 
+// Packed zeros would become a hundred gigabytes. This asset is no film: who reads it says that.
+TEST_F(JobServiceTest, AFilmThatMemoryHasNoRoomForIsNotRead) {
+  grpc::ClientContext context;
+  v1::CreateJobRequest request;
+  *request.mutable_settings() = settings_;
+  request.mutable_settings()->set_tile_size(32);
+  request.mutable_settings()->set_width(65536);
+  request.mutable_settings()->set_height(4096);
+  request.set_continue_film_sha256(ToBytes(Sha256Of("a scene")));
+  v1::Job job;
+  const grpc::Status status = stub_->CreateJob(&context, request, &job);
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::RESOURCE_EXHAUSTED) << status.error_message();
+  EXPECT_NE(status.error_message().find("MiB for films"), std::string::npos);
+}
+
 TEST_F(JobServiceTest, ARepeatedCreationThatCannotBeSavedLeavesTheJobAlone) {
   v1::Job job, repeated;
   ASSERT_TRUE(Create("r1", &job).ok());
