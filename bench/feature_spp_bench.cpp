@@ -55,9 +55,9 @@ TileStatistics WithoutFeatures(const TileStatistics& node, int64_t feature_end) 
   TileStatistics later(node.window(), node.range(), feature_end);
   for (int half = 0; half < kNumHalves; ++half) {
     for (int plane = 0; plane < later.num_float_planes(); ++plane) {
-      std::ranges::copy(node.Floats(half, plane), later.Floats(half, plane).begin());
+      std::ranges::copy(node.Floats(half, plane), later.MutableFloats(half, plane).begin());
     }
-    std::ranges::copy(node.Counts(half, kHits), later.Counts(half, kLaterHits).begin());
+    std::ranges::copy(node.Counts(half, kHits), later.MutableCounts(half, kLaterHits).begin());
   }
   return later;
 }

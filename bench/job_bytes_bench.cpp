@@ -56,7 +56,7 @@ int64_t SizeOf(const TileStatistics& node) {
 void Copy(const TileStatistics& from, int first_plane, int num_planes, TileStatistics* to) {
   for (int half = 0; half < kNumHalves; ++half) {
     for (int plane = first_plane; plane < first_plane + num_planes; ++plane) {
-      std::ranges::copy(from.Floats(half, plane), to->Floats(half, plane).begin());
+      std::ranges::copy(from.Floats(half, plane), to->MutableFloats(half, plane).begin());
     }
   }
 }
@@ -81,7 +81,7 @@ Bytes BytesOf(const TileStatistics& node) {
   TileStatistics counts = empty;
   for (int half = 0; half < kNumHalves; ++half) {
     for (int plane = 0; plane < node.num_count_planes(); ++plane) {
-      std::ranges::copy(node.Counts(half, plane), counts.Counts(half, plane).begin());
+      std::ranges::copy(node.Counts(half, plane), counts.MutableCounts(half, plane).begin());
     }
   }
   bytes[kNumQuantities] = SizeOf(counts) - empty_bytes;
@@ -94,7 +94,7 @@ TileStatistics WithoutFeatures(const TileStatistics& node, int64_t feature_end) 
   TileStatistics later(node.window(), node.range(), feature_end);
   Copy(node, 0, later.num_float_planes(), &later);
   for (int half = 0; half < kNumHalves; ++half) {
-    std::ranges::copy(node.Counts(half, kHits), later.Counts(half, kLaterHits).begin());
+    std::ranges::copy(node.Counts(half, kHits), later.MutableCounts(half, kLaterHits).begin());
   }
   return later;
 }
@@ -105,7 +105,7 @@ TileStatistics WithRange(const TileStatistics& node, SampleRange range) {
   Copy(node, 0, node.num_float_planes(), &other);
   for (int half = 0; half < kNumHalves; ++half) {
     for (int plane = 0; plane < node.num_count_planes(); ++plane) {
-      std::ranges::copy(node.Counts(half, plane), other.Counts(half, plane).begin());
+      std::ranges::copy(node.Counts(half, plane), other.MutableCounts(half, plane).begin());
     }
   }
   return other;

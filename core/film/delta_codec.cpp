@@ -324,7 +324,6 @@ absl::Status ReadQuantity(const Quantity& quantity, DeltaEncoding encoding,
     absl::Status status = ReadStreams(quantity, encoding, codings, reader, planes);
     if (!status.ok()) return status;
   }
-  planes->Bind(quantity, tile);
   for (int channel = 0; channel < quantity.num_channels; ++channel) {
     const int plane = quantity.first_plane + channel;
     for (int half = 0; half < kNumHalves; ++half) {
@@ -334,13 +333,17 @@ absl::Status ReadQuantity(const Quantity& quantity, DeltaEncoding encoding,
       // Blocks come in this order: one plane's codes are needed at a time.
       std::vector<uint32_t>& codes =
           has_blocks ? planes->codes[0][0] : planes->codes[half][channel];
-      if (has_blocks && coding.width_bytes == 0) {
-        std::ranges::fill(codes, 0);
-      } else if (has_blocks && !reader->ReadCodes(codes)) {
-        return Malformed("bad blocks of codes");
-      }
       if (target != nullptr) target->PrefetchNext(codes.size() * sizeof(uint32_t));
-      RestorePlane(context, coding, codes, planes->words[half][channel]);
+      if (const auto word = ConstantOf(coding, context.is_float); word.has_value()) {
+        planes->SetConstant(quantity, half, channel, *word, tile);
+      } else {
+        if (has_blocks && coding.width_bytes == 0) {
+          std::ranges::fill(codes, 0);
+        } else if (has_blocks && !reader->ReadCodes(codes)) {
+          return Malformed("bad blocks of codes");
+        }
+        RestorePlane(context, coding, codes, planes->Overwrite(quantity, half, channel, tile));
+      }
       if (absl::Status status = CheckPlane(*tile, half, plane); !status.ok()) return status;
     }
   }

@@ -87,6 +87,7 @@ absl::Status Film::Accept(int64_t tile_index, TileStatistics node) {
                      "that follow sample ",
                      CommittedEnd(tile_index), " first"));
   }
+  node.ShareConstantPlanes();
   samples_ += range.size() * node.num_pixels();
   non_finite_ += node.non_finite;
   at = nodes.insert(nodes.erase(at, inside_end), std::move(node));

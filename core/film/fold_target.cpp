@@ -16,30 +16,39 @@ FoldTarget::FoldTarget(const TileStatistics& node, bool with_features) {
   const bool has_all = with_features && node.has_features();
   const int num_float_planes = has_all ? kNumFloatPlanes : kNumRadiancePlanes;
   const int num_count_planes = has_all ? kNumCountPlanes : kNumLaterCountPlanes;
-  const auto plane_bytes = static_cast<size_t>(node.num_pixels()) * sizeof(float);
+  plane_bytes_ = static_cast<size_t>(node.num_pixels()) * sizeof(float);
   for (int half = 0; half < kNumHalves; ++half) {
-    parts_[half] = {reinterpret_cast<const char*>(node.Floats(half, 0).data()),
-                    static_cast<size_t>(num_float_planes) * plane_bytes};
-    parts_[kNumHalves + half] = {reinterpret_cast<const char*>(node.Counts(half, 0).data()),
-                                 static_cast<size_t>(num_count_planes) * plane_bytes};
+    for (int plane = 0; plane < num_float_planes; ++plane) {
+      const TilePlane<float>& floats = node.FloatsOf(half, plane);
+      if (!floats.constant().has_value()) Add(floats.values().data());
+    }
+    for (int plane = 0; plane < num_count_planes; ++plane) {
+      const TilePlane<uint32_t>& counts = node.CountsOf(half, plane);
+      if (!counts.constant().has_value()) Add(counts.values().data());
+    }
   }
 }
 
+void FoldTarget::Add(const void* plane) {
+  planes_[num_planes_++] = static_cast<const char*>(plane);
+}
+
 void FoldTarget::PrefetchNext(size_t num_bytes) {
-  while (num_bytes > 0 && first_part_ < parts_.size()) {
-    Part& part = parts_[first_part_];
-    const size_t now = std::min(num_bytes, part.num_bytes);
-    for (size_t i = 0; i < now; i += kLineBytes) __builtin_prefetch(part.begin + i, 1);
-    part = {part.begin + now, part.num_bytes - now};
+  while (num_bytes > 0 && next_plane_ < num_planes_) {
+    const size_t now = std::min(num_bytes, plane_bytes_ - next_byte_);
+    const char* const begin = planes_[next_plane_] + next_byte_;
+    for (size_t i = 0; i < now; i += kLineBytes) __builtin_prefetch(begin + i, 1);
+    next_byte_ += now;
     num_bytes -= now;
-    if (part.num_bytes == 0) ++first_part_;
+    if (next_byte_ == plane_bytes_) {
+      ++next_plane_;
+      next_byte_ = 0;
+    }
   }
 }
 
 size_t FoldTarget::num_bytes() const {
-  size_t sum = 0;
-  for (const Part& part : parts_) sum += part.num_bytes;
-  return sum;
+  return (num_planes_ - next_plane_) * plane_bytes_ - next_byte_;
 }
 
 FoldTarget FoldTargetIn(const Film& film, int64_t tile_index, SampleRange range) {

@@ -17,7 +17,8 @@ class FoldTarget {
  public:
   // No memory.
   FoldTarget() = default;
-  // The planes of `node` that are joined with those of a delta that has features, or has none.
+  // The planes of `node` that are joined with those of a delta that has features, or has none, and
+  // have memory of their own.
   FoldTarget(const TileStatistics& node, bool with_features);
 
   // Asks for the next bytes.
@@ -26,12 +27,13 @@ class FoldTarget {
   size_t num_bytes() const;  // still to be asked for
 
  private:
-  struct Part {
-    const char* begin = nullptr;
-    size_t num_bytes = 0;
-  };
-  std::array<Part, 2 * kNumHalves> parts_ = {};
-  size_t first_part_ = 0;
+  void Add(const void* plane);
+
+  size_t plane_bytes_ = 0;
+  std::array<const char*, kNumHalves*(int{kNumFloatPlanes} + int{kNumCountPlanes})> planes_ = {};
+  size_t num_planes_ = 0;
+  size_t next_plane_ = 0;
+  size_t next_byte_ = 0;  // of it
 };
 
 // The node of a tile that samples before or after it join; no memory if there is none.

@@ -237,22 +237,22 @@ void PixelFolder::Store(TileStatistics* tile) const {
   const size_t pixel = static_cast<size_t>(tile->window().IndexOf(s.x, s.y));
   for (int half = 0; half < kNumHalves; ++half) {
     const auto store = [&](int lane, int mean_plane, int msd_plane) {
-      tile->Floats(half, mean_plane)[pixel] = node.mean[lane];
-      tile->Floats(half, msd_plane)[pixel] = node.msd[lane];
+      tile->MutableFloats(half, mean_plane)[pixel] = node.mean[lane];
+      tile->MutableFloats(half, msd_plane)[pixel] = node.msd[lane];
     };
     for (int c = 0; c < 3; ++c) {
       store(RadianceLane(half) + c, kRadianceMean + c, kRadianceMsd + c);
     }
-    tile->Counts(half, kLaterHits)[pixel] = node.later_hits[half];
+    tile->MutableCounts(half, kLaterHits)[pixel] = node.later_hits[half];
     if (!tile->has_features()) continue;
     for (int c = 0; c < 3; ++c) {
       store(FeatureLane(half) + c, kAlbedoMean + c, kAlbedoMsd + c);
       store(FeatureLane(half) + 3 + c, kNormalMean + c, kNormalMsd + c);
     }
     store(FeatureLane(half) + kDepthFeature, kDepthMean, kDepthMsd);
-    tile->Counts(half, kHits)[pixel] = node.hits[half];
-    tile->Counts(half, kMaterialId)[pixel] = node.vote[half].id;
-    tile->Counts(half, kIdVotes)[pixel] = node.vote[half].votes;
+    tile->MutableCounts(half, kHits)[pixel] = node.hits[half];
+    tile->MutableCounts(half, kMaterialId)[pixel] = node.vote[half].id;
+    tile->MutableCounts(half, kIdVotes)[pixel] = node.vote[half].votes;
   }
 }
 

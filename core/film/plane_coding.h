@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <span>
 
 namespace tessera {
@@ -76,6 +77,8 @@ struct PlaneContext {
 // `words`.
 PlaneCoding CodePlane(const PlaneContext& context, std::span<const uint32_t> words,
                       std::span<const PlanePredictor> predictors, std::span<uint32_t> codes);
+// The word of all pixels, for a coding that says that there is one; float bits where is_float.
+std::optional<uint32_t> ConstantOf(const PlaneCoding& coding, bool is_float);
 // The inverse, for any coding within the ranges above, allowed by the context, and any codes.
 void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
                   std::span<const uint32_t> codes, std::span<uint32_t> words);

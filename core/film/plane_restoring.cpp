@@ -186,6 +186,12 @@ void RestoreKeys(const PlaneContext& context, const PlaneCoding& coding,
 
 }  // namespace
 
+std::optional<uint32_t> ConstantOf(const PlaneCoding& coding, bool is_float) {
+  if (coding.width_bytes > 0 || coding.predictor != PlanePredictor::kNone) return std::nullopt;
+  const uint32_t key = coding.base << coding.shift;
+  return is_float ? WordOf<true>(key) : WordOf<false>(key);
+}
+
 void RestorePlane(const PlaneContext& context, const PlaneCoding& coding,
                   std::span<const uint32_t> codes, std::span<uint32_t> words) {
   if (words.empty()) return;

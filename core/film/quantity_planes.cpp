@@ -53,27 +53,44 @@ void QuantityPlanes::Load(const Quantity& quantity, const TileStatistics& tile) 
       const void* from = plane < kFirstCountPlane
                              ? static_cast<const void*>(tile.Floats(half, plane).data())
                              : tile.Counts(half, plane - kFirstCountPlane).data();
-      words[half][channel] = copies_[half][channel];
-      std::memcpy(words[half][channel].data(), from, words[half][channel].size_bytes());
+      std::vector<uint32_t>& copy = copies_[half][channel];
+      std::memcpy(copy.data(), from, copy.size() * sizeof(uint32_t));
+      words[half][channel] = copy;
     }
   }
 }
 
-void QuantityPlanes::Bind(const Quantity& quantity, TileStatistics* tile) {
-  const bool has_pair_units = HasPairUnits(quantity, *tile);
-  for (int half = 0; half < kNumHalves; ++half) {
-    for (int channel = 0; channel < quantity.num_channels; ++channel) {
-      const int plane = quantity.first_plane + channel;
-      std::span<uint32_t>& of_channel = words[half][channel];
-      if (has_pair_units) {
-        of_channel = copies_[half][channel];
-      } else if (plane < kFirstCountPlane) {
-        const std::span<float> floats = tile->Floats(half, plane);
-        of_channel = {reinterpret_cast<uint32_t*>(floats.data()), floats.size()};
-      } else {
-        of_channel = tile->Counts(half, plane - kFirstCountPlane);
-      }
-    }
+std::span<uint32_t> QuantityPlanes::Overwrite(const Quantity& quantity, int half, int channel,
+                                              TileStatistics* tile) {
+  const int plane = quantity.first_plane + channel;
+  std::span<uint32_t> memory;
+  if (HasPairUnits(quantity, *tile)) {
+    memory = copies_[half][channel];
+  } else if (plane < kFirstCountPlane) {
+    const std::span<float> floats = tile->FloatsOf(half, plane).Overwrite();
+    memory = {reinterpret_cast<uint32_t*>(floats.data()), floats.size()};
+  } else {
+    memory = tile->CountsOf(half, plane - kFirstCountPlane).Overwrite();
+  }
+  words[half][channel] = memory;
+  return memory;
+}
+
+void QuantityPlanes::SetConstant(const Quantity& quantity, int half, int channel, uint32_t word,
+                                 TileStatistics* tile) {
+  const int plane = quantity.first_plane + channel;
+  if (HasPairUnits(quantity, *tile)) {
+    std::ranges::fill(copies_[half][channel], word);
+    words[half][channel] = copies_[half][channel];
+  } else if (plane < kFirstCountPlane) {
+    TilePlane<float>& floats = tile->FloatsOf(half, plane);
+    floats.SetConstant(std::bit_cast<float>(word));
+    words[half][channel] = {reinterpret_cast<const uint32_t*>(floats.values().data()),
+                            floats.size()};
+  } else {
+    TilePlane<uint32_t>& counts = tile->CountsOf(half, plane - kFirstCountPlane);
+    counts.SetConstant(word);
+    words[half][channel] = counts.values();
   }
 }
 
@@ -82,11 +99,12 @@ void QuantityPlanes::LoadPairUnits(const Quantity& quantity, const TileStatistic
   for (int channel = 0; channel < quantity.num_channels; ++channel) {
     const int mean_plane = quantity.first_plane - quantity.num_channels + channel;
     const auto a = tile.Floats(0, mean_plane), b = tile.Floats(1, mean_plane);
+    std::vector<uint32_t>& copy = copies_[0][channel];
     for (size_t i = 0; i < a.size(); ++i) {
       const uint32_t guess = PairUnits(a[i], b[i], difference_bits);
-      words[0][channel][i] = std::min({std::max<uint32_t>(guess, kFractionBits) - kFractionBits,
-                                       MultipleOf(std::bit_cast<uint32_t>(a[i])),
-                                       MultipleOf(std::bit_cast<uint32_t>(b[i]))});
+      copy[i] = std::min({std::max<uint32_t>(guess, kFractionBits) - kFractionBits,
+                          MultipleOf(std::bit_cast<uint32_t>(a[i])),
+                          MultipleOf(std::bit_cast<uint32_t>(b[i]))});
     }
   }
 }

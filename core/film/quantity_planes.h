@@ -48,10 +48,14 @@ class QuantityPlanes {
 
   // Lets `words` be a copy of the tile's planes.
   void Load(const Quantity& quantity, const TileStatistics& tile);
-  // Lets `words` be the tile's planes themselves, for RestorePlane to fill and nobody else to read:
-  // floats are among them. Pairs' units are not the tile's: they get memory of their own, and the
-  // msds stay as they are.
-  void Bind(const Quantity& quantity, TileStatistics* tile);
+  // Lets `words` be a plane of the tile and gives its memory, for RestorePlane to fill and nobody
+  // else to read: floats are among them. Pairs' units are not the tile's: they get memory of their
+  // own, and the msds stay as they are.
+  std::span<uint32_t> Overwrite(const Quantity& quantity, int half, int channel,
+                                TileStatistics* tile);
+  // The same for a plane of one word, which it sets.
+  void SetConstant(const Quantity& quantity, int half, int channel, uint32_t word,
+                   TileStatistics* tile);
 
   // Puts the units of pairs in the place of half A's msds, which are 0, for the means that follow.
   // The means are the tile's; they are multiples of the units, whatever they are.
@@ -63,7 +67,7 @@ class QuantityPlanes {
   PlaneContext ContextOf(const Quantity& quantity, int half, int channel,
                          const TileStatistics& tile) const;
 
-  std::span<uint32_t> words[kNumHalves][kNumChannelsMax];
+  std::span<const uint32_t> words[kNumHalves][kNumChannelsMax];
   std::vector<uint32_t> codes[kNumHalves][kNumChannelsMax];
   std::vector<uint32_t> units[kNumChannelsMax];  // see PlaneContext
 

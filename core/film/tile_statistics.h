@@ -9,6 +9,9 @@
 // index below `feature_end`, a power of two, carry them (docs/decisions/0004). They have counts of
 // their own, and statistics of later samples alone have no feature planes at all. Coverage counts
 // every sample: (hits + later hits) / count.
+//
+// Planes of one value over the window, the sky's depth for one, take no memory of their own
+// (TilePlane); folding two of them folds one value.
 #pragma once
 
 #include <algorithm>
@@ -20,6 +23,7 @@
 #include "core/base/pixel_rect.h"
 #include "core/base/sample_range.h"
 #include "core/film/fold.h"
+#include "core/film/tile_plane.h"
 
 namespace tessera {
 
@@ -85,10 +89,23 @@ class TileStatistics {
   int num_count_planes() const { return has_features() ? kNumCountPlanes : kNumLaterCountPlanes; }
 
   // Row-major over the window. plane: FloatPlane (+ channel) or CountPlane, one that exists.
-  std::span<float> Floats(int half, int plane);
-  std::span<const float> Floats(int half, int plane) const;
-  std::span<uint32_t> Counts(int half, int plane);
-  std::span<const uint32_t> Counts(int half, int plane) const;
+  std::span<const float> Floats(int half, int plane) const {
+    return FloatsOf(half, plane).values();
+  }
+  std::span<const uint32_t> Counts(int half, int plane) const {
+    return CountsOf(half, plane).values();
+  }
+  std::span<float> MutableFloats(int half, int plane) { return FloatsOf(half, plane).Mutable(); }
+  std::span<uint32_t> MutableCounts(int half, int plane) { return CountsOf(half, plane).Mutable(); }
+  const TilePlane<float>& FloatsOf(int half, int plane) const;
+  TilePlane<float>& FloatsOf(int half, int plane);
+  const TilePlane<uint32_t>& CountsOf(int half, int plane) const;
+  TilePlane<uint32_t>& CountsOf(int half, int plane);
+
+  // Lets planes that have one value share it, after they were changed pixel by pixel.
+  void ShareConstantPlanes();
+  // Of the planes' own memory.
+  int64_t num_bytes() const;
 
   // Folds `right` into this. Needs equal windows and feature ends, and right.range().begin ==
   // range().end.
@@ -102,15 +119,17 @@ class TileStatistics {
   friend bool operator==(const TileStatistics&, const TileStatistics&) = default;
 
  private:
-  // Fold three channels of one half, and all of its features.
+  // Fold three channels of one half, depth and hits, the majority's ids, and all features.
   void FoldVector(const TileStatistics& right, int half, int mean_plane, float right_weight);
+  void FoldDepth(const TileStatistics& right, int half);
+  void FoldIds(const TileStatistics& right, int half);
   void MergeFeatures(const TileStatistics& right, int half);
 
   PixelRect window_;
   SampleRange range_;
   int64_t feature_end_ = kAllFeatures;
-  std::vector<float> floats_;     // [half][plane][pixel]
-  std::vector<uint32_t> counts_;  // [half][plane][pixel]
+  std::vector<TilePlane<float>> floats_;     // [half][plane]
+  std::vector<TilePlane<uint32_t>> counts_;  // [half][plane]
 };
 
 }  // namespace tessera

@@ -166,9 +166,9 @@ void TakeNode(const Band& band, std::span<const size_t> places, TileStatistics* 
     if (c == 0) return;
     const FilmChannel& channel = channels[c - 1];
     if (channel.is_uint) {
-      node->Counts(channel.half, channel.plane)[pixel] = word;
+      node->MutableCounts(channel.half, channel.plane)[pixel] = word;
     } else {
-      node->Floats(channel.half, channel.plane)[pixel] = std::bit_cast<float>(word);
+      node->MutableFloats(channel.half, channel.plane)[pixel] = std::bit_cast<float>(word);
     }
   });
 }

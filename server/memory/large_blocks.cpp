@@ -15,7 +15,7 @@
 namespace tessera {
 namespace {
 
-constexpr size_t kBlockBytesMin = size_t{16} << 10;
+constexpr size_t kBlockBytesMin = size_t{4} << 10;
 constexpr size_t kSlabBytes = size_t{2} << 20;
 constexpr size_t kSlabsMax = size_t{1} << 17;   // 256 GiB of addresses
 constexpr size_t kHeaderBytes = 256;

@@ -1,8 +1,8 @@
-// Memory of planes: blocks of 16 KiB to 2 MiB, which come and go with every delta or stay in a
+// Memory of planes: blocks of 4 KiB to 2 MiB, which come and go with every delta or stay in a
 // film. Blocks of one size lie side by side in slabs, whichever thread asks for them, and what is
 // given back is given out again: the kernel clears no page twice for tiles that pass through, nor
 // for the film of a job that follows another one.
-// tessera-server's operator new takes its blocks here (operator_new.cpp; docs/decisions/0017).
+// tessera-server's operator new takes its blocks here (operator_new.cpp; docs/decisions/0018).
 #pragma once
 
 #include <cstddef>

@@ -39,10 +39,10 @@ void CopyPixels(const TileStatistics& from, const PixelRect& rect, TileStatistic
   };
   for (int half = 0; half < kNumHalves; ++half) {
     for (int plane = 0; plane < from.num_float_planes(); ++plane) {
-      copy_plane(from.Floats(half, plane), to->Floats(half, plane));
+      copy_plane(from.Floats(half, plane), to->MutableFloats(half, plane));
     }
     for (int plane = 0; plane < from.num_count_planes(); ++plane) {
-      copy_plane(from.Counts(half, plane), to->Counts(half, plane));
+      copy_plane(from.Counts(half, plane), to->MutableCounts(half, plane));
     }
   }
 }

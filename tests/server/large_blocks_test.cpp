@@ -16,7 +16,7 @@ constexpr size_t kTileBytes = 20 * 2 * 4 * 1024;
 
 TEST(LargeBlocks, LeavesSmallAndHugeSizesToMalloc) {
   EXPECT_EQ(AllocateLargeBlock(0), nullptr);
-  EXPECT_EQ(AllocateLargeBlock(16383), nullptr);
+  EXPECT_EQ(AllocateLargeBlock(4095), nullptr);
   EXPECT_EQ(AllocateLargeBlock(size_t{2} << 20), nullptr);
   EXPECT_EQ(AllocateLargeBlock(SIZE_MAX), nullptr);
   int on_the_stack = 0;
@@ -54,7 +54,7 @@ TEST(LargeBlocks, BlocksDoNotOverlap) {
   };
   for (int step = 0; step < 4000; ++step) {
     if (blocks.size() < 40 && random() % 3 > 0) {
-      const size_t bytes = 16384 + random() % (random() % 8 == 0 ? 2000000 : 200000);
+      const size_t bytes = 4096 + random() % (random() % 8 == 0 ? 2000000 : 200000);
       auto* const begin = static_cast<unsigned char*>(AllocateLargeBlock(bytes));
       ASSERT_NE(begin, nullptr);
       const auto fill = static_cast<unsigned char>(random());

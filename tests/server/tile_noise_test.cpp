@@ -10,10 +10,10 @@ TileStatistics Tile(int64_t samples, float mean_a, float mean_b, float msd) {
   TileStatistics tile(PixelRect::FromSize(0, 0, 3, 2), {0, samples});
   for (int channel = 0; channel < 3; ++channel) {
     for (int half = 0; half < 2; ++half) {
-      for (float& value : tile.Floats(half, kRadianceMean + channel)) {
+      for (float& value : tile.MutableFloats(half, kRadianceMean + channel)) {
         value = half == 0 ? mean_a : mean_b;
       }
-      for (float& value : tile.Floats(half, kRadianceMsd + channel)) value = msd;
+      for (float& value : tile.MutableFloats(half, kRadianceMsd + channel)) value = msd;
     }
   }
   return tile;
@@ -29,7 +29,7 @@ TEST(TileNoise, IsTheRelativeVarianceOfOneSample) {
 // Tiles of more than 512 pixels are judged by every other 64 of them.
 TEST(TileNoise, OfALargeTileIsThatOfHalfItsPixels) {
   TileStatistics tile(PixelRect::FromSize(0, 0, 32, 32), {0, 4});
-  const std::span<float> msd = tile.Floats(0, kRadianceMsd);
+  const std::span<float> msd = tile.MutableFloats(0, kRadianceMsd);
   for (size_t i = 0; i < msd.size(); ++i) msd[i] = i / 64 % 2 == 0 ? 1.0f : 100.0f;
   // Squared deviations 2 of one channel, over 4 - 1.
   EXPECT_NEAR(NoiseOf(tile), 2.0 / 3 / 0.01, 1e-3);

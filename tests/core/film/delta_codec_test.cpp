@@ -69,16 +69,16 @@ TEST(DeltaCodecTest, ExtremeValuesRoundTrip) {
     for (int half = 0; half < kNumHalves; ++half) {
       const uint64_t count = static_cast<uint64_t>(tile.FeatureHalfCount(half));
       const uint64_t later_count = static_cast<uint64_t>(tile.HalfCount(half)) - count;
-      for (uint32_t& hits : tile.Counts(half, kLaterHits)) {
+      for (uint32_t& hits : tile.MutableCounts(half, kLaterHits)) {
         hits = static_cast<uint32_t>(random() % (later_count + 1));
       }
-      for (uint32_t& hits : tile.Counts(half, kHits)) {
+      for (uint32_t& hits : tile.MutableCounts(half, kHits)) {
         hits = static_cast<uint32_t>(random() % (count + 1));
       }
-      for (uint32_t& votes : tile.Counts(half, kIdVotes)) {
+      for (uint32_t& votes : tile.MutableCounts(half, kIdVotes)) {
         votes = static_cast<uint32_t>(random() % (count + 1));
       }
-      for (uint32_t& id : tile.Counts(half, kMaterialId)) {
+      for (uint32_t& id : tile.MutableCounts(half, kMaterialId)) {
         id = static_cast<uint32_t>(random() >> (random() % 64));
       }
       for (int plane = 0; plane < kNumFloatPlanes; ++plane) {
@@ -89,7 +89,7 @@ TEST(DeltaCodecTest, ExtremeValuesRoundTrip) {
           // A sample has no deviation.
           if (is_msd && (plane < kNumRadiancePlanes ? count + later_count : count) < 2) continue;
           const float value = kValues[random() % std::size(kValues)];
-          tile.Floats(half, plane)[i] = is_msd ? value * value : value;
+          tile.MutableFloats(half, plane)[i] = is_msd ? value * value : value;
         }
       }
     }
@@ -147,7 +147,7 @@ TEST(DeltaCodecTest, SizesAreWithinTheLimits) {
   // material, as on a wall, and leave radiance and depth as they are.
   for (int half = 0; half < kNumHalves; ++half) {
     for (int plane = kAlbedoMean; plane < kDepthMean; ++plane) {
-      std::ranges::fill(tile.Floats(half, plane), plane % 6 < 3 ? 0.7f : 0.0f);
+      std::ranges::fill(tile.MutableFloats(half, plane), plane % 6 < 3 ? 0.7f : 0.0f);
     }
   }
   for (const DeltaEncoding encoding : kSmallEncodings) {
@@ -263,19 +263,19 @@ INSTANTIATE_TEST_SUITE_P(DeltaCodecTest, ForgedDeltaTest,
 TEST(DeltaCodecTest, RefusesValuesThatStatisticsCannotHave) {
   const TileStatistics good = FoldedTile(5, {0, 0, 4, 4}, {0, 4});
   const std::function<void(TileStatistics*)> spoilers[] = {
-      [](TileStatistics* t) { t->Floats(0, kRadianceMean)[3] = std::nanf(""); },
+      [](TileStatistics* t) { t->MutableFloats(0, kRadianceMean)[3] = std::nanf(""); },
       [](TileStatistics* t) {
-        t->Floats(1, kNormalMean)[0] = -std::numeric_limits<float>::infinity();
+        t->MutableFloats(1, kNormalMean)[0] = -std::numeric_limits<float>::infinity();
       },
-      [](TileStatistics* t) { t->Floats(1, kDepthMean)[0] = 0x1p62f; },
-      [](TileStatistics* t) { t->Floats(0, kAlbedoMsd)[5] = -1e-9f; },
-      [](TileStatistics* t) { t->Floats(0, kRadianceMsd)[5] = std::nanf(""); },
-      [](TileStatistics* t) { t->Floats(0, kRadianceMsd)[5] = 0x1p125f; },
-      [](TileStatistics* t) { t->Counts(0, kHits)[1] = 3; },
-      [](TileStatistics* t) { t->Counts(1, kIdVotes)[1] = 3; },
+      [](TileStatistics* t) { t->MutableFloats(1, kDepthMean)[0] = 0x1p62f; },
+      [](TileStatistics* t) { t->MutableFloats(0, kAlbedoMsd)[5] = -1e-9f; },
+      [](TileStatistics* t) { t->MutableFloats(0, kRadianceMsd)[5] = std::nanf(""); },
+      [](TileStatistics* t) { t->MutableFloats(0, kRadianceMsd)[5] = 0x1p125f; },
+      [](TileStatistics* t) { t->MutableCounts(0, kHits)[1] = 3; },
+      [](TileStatistics* t) { t->MutableCounts(1, kIdVotes)[1] = 3; },
       [](TileStatistics* t) {
-        t->Counts(1, kHits)[1] = 0;
-        t->Floats(1, kDepthMean)[1] = 2;
+        t->MutableCounts(1, kHits)[1] = 0;
+        t->MutableFloats(1, kDepthMean)[1] = 2;
       },
       [](TileStatistics* t) { t->non_finite = 65; },
       [](TileStatistics* t) { t->non_finite = -1; },
@@ -291,9 +291,9 @@ TEST(DeltaCodecTest, RefusesValuesThatStatisticsCannotHave) {
   // Hits and votes are those of samples with features, or without.
   const TileStatistics later = FoldedTile(5, {0, 0, 4, 4}, {0, 8}, 2);
   const std::function<void(TileStatistics*)> later_spoilers[] = {
-      [](TileStatistics* t) { t->Counts(0, kHits)[1] = 2; },
-      [](TileStatistics* t) { t->Counts(1, kIdVotes)[1] = 2; },
-      [](TileStatistics* t) { t->Counts(0, kLaterHits)[1] = 4; },
+      [](TileStatistics* t) { t->MutableCounts(0, kHits)[1] = 2; },
+      [](TileStatistics* t) { t->MutableCounts(1, kIdVotes)[1] = 2; },
+      [](TileStatistics* t) { t->MutableCounts(0, kLaterHits)[1] = 4; },
   };
   EXPECT_TRUE(ValidateStatistics(later).ok());
   for (const auto& spoil : later_spoilers) {
@@ -302,10 +302,10 @@ TEST(DeltaCodecTest, RefusesValuesThatStatisticsCannotHave) {
     EXPECT_FALSE(Decode(bad, EncodeDelta(bad, DeltaEncoding::kPacked)).ok());
   }
   TileStatistics no_later_hits = FoldedTile(5, {0, 0, 4, 4}, {0, 4});
-  no_later_hits.Counts(0, kLaterHits)[0] = 1;
+  no_later_hits.MutableCounts(0, kLaterHits)[0] = 1;
   EXPECT_FALSE(ValidateStatistics(no_later_hits).ok());
   TileStatistics empty_half({0, 0, 4, 4}, {0, 1});
-  empty_half.Floats(1, kRadianceMean)[0] = 1;
+  empty_half.MutableFloats(1, kRadianceMean)[0] = 1;
   EXPECT_FALSE(Decode(empty_half, EncodeDelta(empty_half, DeltaEncoding::kPacked)).ok());
 }
 

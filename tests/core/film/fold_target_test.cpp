@@ -9,9 +9,11 @@ namespace {
 
 constexpr int64_t kFeatureEnd = 4;
 constexpr size_t kPlaneBytes = 8 * 8 * sizeof(float);
-constexpr size_t kAllBytes = kNumHalves * (kNumFloatPlanes + int{kNumCountPlanes}) * kPlaneBytes;
-constexpr size_t kLaterBytes =
-    kNumHalves * (kNumRadiancePlanes + int{kNumLaterCountPlanes}) * kPlaneBytes;
+// All planes, but those that tiles share: no hits come later.
+constexpr size_t kAllBytes =
+    kNumHalves * (kNumFloatPlanes + int{kNumCountPlanes} - kNumLaterCountPlanes) * kPlaneBytes;
+constexpr size_t kLaterBytes = kNumHalves * kNumRadiancePlanes * kPlaneBytes;
+constexpr size_t kLaterHitsBytes = kNumHalves * kNumLaterCountPlanes * kPlaneBytes;
 
 const TileGrid& Grid() {
   static const auto* const grid = new TileGrid(PixelRect::FromSize(0, 0, 16, 8), 8);
@@ -38,7 +40,7 @@ TEST(FoldTargetTest, IsTheNodeThatTheRangeJoins) {
 TEST(FoldTargetTest, PlanesThatStayAreNotAskedFor) {
   const Film with = FilmOf(0, {0, 4}, kFeatureEnd), without = FilmOf(0, {4, 8}, kFeatureEnd);
   EXPECT_EQ(FoldTargetIn(with, 0, {4, 8}).num_bytes(), kLaterBytes);
-  EXPECT_EQ(FoldTargetIn(without, 0, {0, 4}).num_bytes(), kLaterBytes);
+  EXPECT_EQ(FoldTargetIn(without, 0, {0, 4}).num_bytes(), kLaterBytes + kLaterHitsBytes);
 }
 
 TEST(FoldTargetTest, IsAskedForUntilNothingIsLeft) {

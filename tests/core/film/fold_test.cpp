@@ -171,12 +171,12 @@ TEST(FoldTest, ABillionSamplesAndOne) {
   constexpr int64_t kMany = int64_t{1} << 30;
   TileStatistics many(kPixel, {0, kMany});
   for (int half = 0; half < kNumHalves; ++half) {
-    many.Floats(half, kRadianceMean)[0] = 2;
-    many.Floats(half, kRadianceMsd)[0] = 0.25f;
+    many.MutableFloats(half, kRadianceMean)[0] = 2;
+    many.MutableFloats(half, kRadianceMsd)[0] = 0.25f;
   }
   for (const float value : {2.0f, 3.0f, 1e4f, 0x1p60f}) {
     TileStatistics one(kPixel, {kMany, kMany + 1});
-    one.Floats(0, kRadianceMean)[0] = value;
+    one.MutableFloats(0, kRadianceMean)[0] = value;
     TileStatistics folded = many;
     folded.Merge(one);
     const long double count = static_cast<long double>(folded.HalfCount(0));

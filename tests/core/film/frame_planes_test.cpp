@@ -119,10 +119,10 @@ TEST(FramePlanesTest, TheMajorityOfBothHalvesNamesTheMaterial) {
     uint32_t expected;
   } kCases[] = {{{3, 8}, {3, 8}, 3}, {{3, 8}, {5, 2}, 3}, {{3, 1}, {5, 8}, 5}, {{7, 4}, {5, 4}, 5}};
   for (size_t i = 0; i < 4; ++i) {
-    tile.Counts(0, kMaterialId)[i] = kCases[i].a.id;
-    tile.Counts(0, kIdVotes)[i] = kCases[i].a.votes;
-    tile.Counts(1, kMaterialId)[i] = kCases[i].b.id;
-    tile.Counts(1, kIdVotes)[i] = kCases[i].b.votes;
+    tile.MutableCounts(0, kMaterialId)[i] = kCases[i].a.id;
+    tile.MutableCounts(0, kIdVotes)[i] = kCases[i].a.votes;
+    tile.MutableCounts(1, kMaterialId)[i] = kCases[i].b.id;
+    tile.MutableCounts(1, kIdVotes)[i] = kCases[i].b.votes;
   }
   FramePlanes planes(tile.window());
   planes.Resolve(tile);

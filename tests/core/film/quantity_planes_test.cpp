@@ -39,10 +39,10 @@ TEST(QuantityPlanesTest, WordsAreACopyOfTheTileOrTheTileItself) {
   bound.Resize(static_cast<size_t>(tile.num_pixels()));
   for (const Quantity& quantity : kQuantities) {
     copy.Load(quantity, tile);
-    bound.Bind(quantity, &tile);
     for (int half = 0; half < kNumHalves; ++half) {
       for (int channel = 0; channel < quantity.num_channels; ++channel) {
         const int plane = quantity.first_plane + channel;
+        bound.Overwrite(quantity, half, channel, &tile);
         const void* const own =
             plane < kFirstCountPlane
                 ? static_cast<const void*>(tile.Floats(half, plane).data())
@@ -60,7 +60,7 @@ TEST(QuantityPlanesTest, PairsUnitsAreNoPlanesOfTheTile) {
   TileStatistics tile = FoldedTile(1, kWindow, {0, 2});
   QuantityPlanes planes;
   planes.Resize(static_cast<size_t>(tile.num_pixels()));
-  planes.Bind(kQuantities[0], &tile);
+  planes.Overwrite(kQuantities[0], 0, 0, &tile);
   ASSERT_TRUE(HasPairUnits(kQuantities[0], tile));
   EXPECT_NE(static_cast<const void*>(planes.words[0][0].data()),
             static_cast<const void*>(tile.Floats(0, kRadianceMsd).data()));

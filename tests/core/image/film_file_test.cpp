@@ -25,19 +25,21 @@ TileStatistics RandomNode(const PixelRect& window, SampleRange range, std::mt199
   for (int half = 0; half < kNumHalves; ++half) {
     const uint32_t count = static_cast<uint32_t>(node.FeatureHalfCount(half));
     const uint32_t later_count = static_cast<uint32_t>(node.HalfCount(half)) - count;
-    for (uint32_t& hits : node.Counts(half, kLaterHits)) hits = (*random)() % (later_count + 1);
+    for (uint32_t& hits : node.MutableCounts(half, kLaterHits))
+      hits = (*random)() % (later_count + 1);
     const int num_planes = count > 0 ? kNumFloatPlanes : later_count > 0 ? kNumRadiancePlanes : 0;
     for (int plane = 0; plane < num_planes; ++plane) {
       const bool is_msd = plane == kDepthMsd || (plane < kDepthMean && plane % 6 >= 3);
       const uint32_t of_plane = plane < kNumRadiancePlanes ? count + later_count : count;
       if (is_msd && of_plane < 2) continue;  // a sample has no deviation
-      for (float& value : node.Floats(half, plane)) value = std::exp2(exponent(*random));
+      for (float& value : node.MutableFloats(half, plane)) value = std::exp2(exponent(*random));
     }
     if (count == 0) continue;
-    for (float& value : node.Floats(half, kNormalMean)) value = -value;
-    for (uint32_t& hits : node.Counts(half, kHits)) hits = 1 + (*random)() % count;
-    for (uint32_t& id : node.Counts(half, kMaterialId)) id = static_cast<uint32_t>((*random)());
-    for (uint32_t& votes : node.Counts(half, kIdVotes)) votes = (*random)() % (count + 1);
+    for (float& value : node.MutableFloats(half, kNormalMean)) value = -value;
+    for (uint32_t& hits : node.MutableCounts(half, kHits)) hits = 1 + (*random)() % count;
+    for (uint32_t& id : node.MutableCounts(half, kMaterialId))
+      id = static_cast<uint32_t>((*random)());
+    for (uint32_t& votes : node.MutableCounts(half, kIdVotes)) votes = (*random)() % (count + 1);
   }
   node.non_finite = (*random)() % (node.num_pixels() * range.size() + 1);
   return node;

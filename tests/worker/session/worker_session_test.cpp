@@ -48,7 +48,7 @@ class FakeRenderer : public Renderer {
       return absl::CancelledError();
     }
     TileStatistics tile(window, node, feature_end_);
-    for (float& value : tile.Floats(0, kRadianceMean)) {
+    for (float& value : tile.MutableFloats(0, kRadianceMean)) {
       value = static_cast<float>(window.x_begin + node.begin);
     }
     counters->rays = 3;
