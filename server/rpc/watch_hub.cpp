@@ -105,16 +105,15 @@ grpc::ServerWriteReactor<v1::Job>* WatchHub::Watch(JobId job, const v1::WatchJob
                                                    WatchKeeps keeps) {
   auto* const reactor = new WatchReactor(this, job, request, std::move(keeps));
   callbacks_.added(job, reactor->region());
+  // Held to the end, so that Pump sends nothing on a stream that is refused.
+  std::lock_guard lock(mu_);
   grpc::Status status;
-  {
-    std::lock_guard lock(mu_);
-    reactors_[job].insert(reactor);
-    if (num_watches_++ >= watches_max_) {
-      status = ToGrpc(absl::ResourceExhaustedError(absl::StrCat(
-          watches_max_, " watches are open already: end some, or ask with GetJob now and then")));
-    }
-    if (closed_) status = grpc::Status(grpc::UNAVAILABLE, "the server is stopping");
+  reactors_[job].insert(reactor);
+  if (num_watches_++ >= watches_max_) {
+    status = ToGrpc(absl::ResourceExhaustedError(absl::StrCat(
+        watches_max_, " watches are open already: end some, or ask with GetJob now and then")));
   }
+  if (closed_) status = grpc::Status(grpc::UNAVAILABLE, "the server is stopping");
   if (!status.ok()) reactor->End(status);
   return reactor;
 }
