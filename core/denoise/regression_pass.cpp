@@ -218,8 +218,10 @@ PassOutput RunCrossPass(const RegressionInput& input, const SmoothFeatures& feat
 
 namespace {
 
-// Shrinks a fit of both halves by the noise that they show.
-void ShrinkByHalves(float share_a, WindowFit* fit) {
+// Shrinks a fit of both halves by their noise: the mean of what they show, three draws, and of
+// `variance`, what the samples' variance says of any coefficient. The one is about this regressor,
+// the other has little noise of its own.
+void ShrinkByHalves(float share_a, float variance, WindowFit* fit) {
   const float share_b = 1.0f - share_a;
   for (size_t k = 1; k < static_cast<size_t>(fit->num_unknowns()); ++k) {
     Float8& z = fit->coefficients[k];
@@ -229,7 +231,7 @@ void ShrinkByHalves(float share_a, WindowFit* fit) {
       energy += mean * mean;
       noise += share_a * share_b * ((z[c] - z[3 + c]) * (z[c] - z[3 + c]));
     }
-    z *= Kept(energy, noise);
+    z *= Kept(energy, 0.5f * (noise + variance));
   }
 }
 
@@ -272,12 +274,12 @@ PassOutputs RunPilotPasses(const RegressionInput& input, std::span<const ColorHa
       const Plane* const targets[] = {color[0].data(), &color[0][1], &color[0][2],
                                       color[1].data(), &color[1][1], &color[1][2]};
       fit.Fit(static_cast<int>(run), input.bounds, targets);
-      ShrinkByHalves(input.share_a[static_cast<size_t>(input.bounds.IndexOf(x, y))], &fit);
+      const float lent = fit.CoefficientVariance(variance_sum);
+      ShrinkByHalves(input.share_a[static_cast<size_t>(input.bounds.IndexOf(x, y))], lent, &fit);
       Accumulator& to = sums[run];
       Plane* const into[] = {to.sum(0, 0), to.sum(0, 1), to.sum(0, 2),
                              to.sum(1, 0), to.sum(1, 1), to.sum(1, 2)};
-      SetShares(weights, variance_sum, fit.CoefficientVariance(variance_sum),
-                settings.constants.weights.lent_ratio, &shares);
+      SetShares(weights, variance_sum, lent, settings.constants.weights.lent_ratio, &shares);
       fit.AddPrediction(to.bounds(), reach_px, shares, into, to.weight_sum(0));
     }
   };

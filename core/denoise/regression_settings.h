@@ -14,11 +14,11 @@ struct WeightSettings {
   // variance), where a pixel's variance is its own: in the first pass. A firefly differs from its
   // neighbours by no more than its own noise, and would lend to them all. Measured.
   float excuse_ratio = 4.0f;
-  // Above this ratio to the centre's variance, a neighbour's is certainly larger: by how much two
-  // estimates of one variance differ in one case of a thousand, from four samples each, the fewest
-  // that are worth filtering. The logarithm of a normal variable's sample variance has a variance
-  // of about 2 / (n - 1) (Bartlett & Kendall 1946), so exp(3.09 * 2 / sqrt(3)).
-  float lent_ratio = 35.0f;
+  // Above this ratio to the centre's variance, a neighbour's is larger: by how much two estimates
+  // of one variance differ in one case of twenty, from four samples each, the fewest that are worth
+  // filtering. The logarithm of a normal variable's sample variance has a variance of about
+  // 2 / (n - 1) (Bartlett & Kendall 1946), so exp(1.96 * 2 / sqrt(3)).
+  float lent_ratio = 9.6f;
   // exp(-x) is taken as (1 - x / 2^n)^(2^n), which ends at 2^n: weights below e^-8 change nothing.
   int falloff_squarings = 3;
 };
@@ -28,22 +28,22 @@ struct RegressionSettings {
   int window_radius_px = 9;
   int prefilter_radius_px = 2;
   int lattice_step_px = 5;
-  // What a pixel predicts that its neighbours' fits leave out; the weight that calls for it is one
-  // pixel's own.
+  // What a pixel predicts that its neighbours' fits leave out, and the weight below which they do:
+  // a little less than one pixel's own, which saves time.
   int on_demand_reach_px = 3;
-  float thin_weight = 1.0f;
+  float thin_weight = 0.8f;
   // The second pass compares patches in units of the pilot's variance, averaged over so many pixels
   // around, plus this share of the raw mean's, which stands for the pilot's bias. Measured.
-  int pilot_radius_px = 2;
+  int pilot_radius_px = 1;
   float raw_share = 0.2f;
   // The blend's risks are pooled over (2 r + 1)^2 pixels; so is the picture's error, more widely,
   // as it is pooled relative to the noise.
-  int risk_radius_px = 4;
+  int risk_radius_px = 6;
   int error_radius_px = 9;
   // How much noisier than the mean of the pixels around it a pixel must be to be taken for an
   // outlier (OutlierReader): an estimate from four samples, the fewest that are worth filtering,
-  // exceeds the truth by this factor in one case of a thousand, exp(3.09 sqrt(2 / 3)), as
-  // WeightSettings::lent_ratio but against a mean that is known.
+  // exceeds the truth by this factor in one case of a thousand, exp(3.09 sqrt(2 / 3)): as
+  // WeightSettings::lent_ratio, but against a mean that is known, and of a pixel that is changed.
   float outlier_ratio = 12.5f;
   // Of the probe, in standard deviations: small against the noise, that the filter's response is
   // about linear, and large against rounding. The estimate does not depend on it where the filter

@@ -18,11 +18,24 @@ size_t At(const PixelRect& bounds, int x, int y) {
   return static_cast<size_t>(bounds.IndexOf(x, y));
 }
 
-// 1 for the first `count` lanes, else 0.
-Float8 LaneMask(int count) {
-  Float8 mask;
-  for (int lane = 0; lane < kFloat8Lanes; ++lane) mask[lane] = lane < count ? 1.0f : 0.0f;
-  return mask;
+constexpr Float8 kLane = {0, 1, 2, 3, 4, 5, 6, 7};
+
+// Epanechnikov's kernel, 1 - d^2 / r^2, r reaching half a pixel beyond the window's corners: of all
+// kernels the one that fits lines with the least squared error (Fan, Gasser, Gijbels, Brockmann &
+// Engel 1997). A slope fits less well the farther it is from the centre, which the patches do not
+// see; a flat kernel lets the farthest pixels, which are the most, decide it.
+std::vector<Float8> SpatialKernel(int radius_px, int num_row_vectors) {
+  const float edge_px = static_cast<float>(radius_px) + 0.5f;
+  std::vector<Float8> kernel;
+  for (int dy = -radius_px; dy <= radius_px; ++dy) {
+    for (int j = 0; j < num_row_vectors; ++j) {
+      const Float8 dx = kLane + static_cast<float>(kFloat8Lanes * j - radius_px);
+      const Float8 square = dx * dx + static_cast<float>(dy * dy);
+      const Float8 value = 1.0f - square / (2.0f * edge_px * edge_px);
+      kernel.push_back(dx > static_cast<float>(radius_px) ? Float8{} : value);
+    }
+  }
+  return kernel;
 }
 
 // The variance of what is fitted at (x, y): the mean of the known pixels around it, or its own if
@@ -116,7 +129,7 @@ WindowWeights::WindowWeights(int radius_px, const WeightSettings& settings)
     : radius_px_(radius_px),
       settings_(settings),
       num_row_vectors_((2 * radius_px + 1 + 7) / kFloat8Lanes),
-      last_mask_(LaneMask(2 * radius_px + 1 - kFloat8Lanes * (num_row_vectors_ - 1))) {
+      kernel_(SpatialKernel(radius_px, num_row_vectors_)) {
   TESSERA_CHECK(radius_px >= kCalmRadiusPx && radius_px <= kWindowRadiusPxMax);
 }
 
@@ -160,8 +173,8 @@ void WindowWeights::SetAs(const Guide& guide) {
                             far);
       }
       if (is_far) continue;
-      const Float8 known = Load8(patch.known + centre) *
-                           (j + 1 < num_row_vectors_ ? Float8{} + 1.0f : last_mask_);
+      const auto in_window = static_cast<size_t>((dy + radius_px_) * num_row_vectors_ + j);
+      const Float8 known = Load8(patch.known + centre) * kernel_[in_window];
       const Float8 v_q = Load8(lent + std::ptrdiff_t{dy} * guide.lent_bounds.width() + dx);
       const Float8 share = known * Min8(Float8{} + 1.0f, lent_max / v_q);
       const Float8 scale = 1.0f / (3.0f * Max8(sums.count, Float8{} + 1.0f));

@@ -6,6 +6,7 @@
 
 #include <array>
 #include <span>
+#include <vector>
 
 #include "core/denoise/float8.h"
 #include "core/denoise/regression_settings.h"
@@ -40,10 +41,10 @@ class WindowWeights {
   // radius_px: of the window, at most kWindowRadiusPxMax.
   explicit WindowWeights(int radius_px, const WeightSettings& settings = {});
 
-  // Weighs the pixels around (x, y) by a falloff of the mean distance of their patches
-  // (2 patch_radius_px + 1 wide, at most 3) to the centre's; 0 for pixels that are not known. A
-  // pixel that is certainly noisier than the centre gets so much less weight that it lends no more
-  // noise than one that may be as quiet.
+  // Weighs the pixels around (x, y) by Epanechnikov's kernel (SpatialKernel) times a falloff of the
+  // mean distance of their patches (2 patch_radius_px + 1 wide, at most 3) to the centre's; 0 for
+  // pixels that are not known. A pixel that is certainly noisier than the centre gets so much less
+  // weight that it lends no more noise than one that may be as quiet.
   // guide.bounds must contain the window expanded by patch_radius_px, guide.lent_bounds the window.
   void Set(const Guide& guide, int patch_radius_px, int x, int y);
 
@@ -74,7 +75,8 @@ class WindowWeights {
   const int radius_px_;
   const WeightSettings settings_;
   const int num_row_vectors_;
-  const Float8 last_mask_;  // 1 for the lanes of a row's last vector that lie in the window
+  // Of the whole window's vectors in the order of rows, num_row_vectors_ a row; 0 outside of it.
+  const std::vector<Float8> kernel_;
   int x_ = 0, y_ = 0;
   int num_values_ = 1;
   int num_vectors_ = 0;

@@ -25,9 +25,14 @@ SmoothFeatures RandomFeatures(uint32_t seed) {
   return features;
 }
 
+// Epanechnikov's kernel of a pixel so far from the centre.
+float Kernel(int dx, int dy) {
+  return 1.0f - static_cast<float>(dx * dx + dy * dy) / (2.0f * 9.5f * 9.5f);
+}
+
 class WindowFitTest : public ::testing::Test {
  protected:
-  // Equal planes: all weights are 1.
+  // Equal planes: all weights are the kernel's.
   WindowFitTest() : known_(SlackArea(kBounds), 1.0f), weights_(kRadius) {
     for (size_t c = 0; c < 3; ++c) {
       flat_[c].assign(SlackArea(kBounds), 1.0f);
@@ -62,7 +67,8 @@ TEST_F(WindowFitTest, ReproducesWhatIsLinearInItsRegressors) {
     }
   }
   Fit(features, target);
-  EXPECT_FLOAT_EQ(fit_.weight_sum(), 361.0f);
+  // Over 19x19 pixels dx^2 and dy^2 are 30 on the mean.
+  EXPECT_FLOAT_EQ(fit_.weight_sum(), 361.0f * (1.0f - 60.0f / (2.0f * 9.5f * 9.5f)));
   EXPECT_EQ(fit_.num_unknowns(), kNumUnknowns);
   WindowPlane shares;
   shares.fill(Float8{} + 0.5f);
@@ -76,8 +82,9 @@ TEST_F(WindowFitTest, ReproducesWhatIsLinearInItsRegressors) {
       for (int x = 0; x < 25; ++x) {
         const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
         const bool reached = std::abs(x - kCentre) <= reach && std::abs(y - kCentre) <= reach;
-        EXPECT_EQ(weight_sums[i], reached ? 0.5f : 0.0f);
-        EXPECT_NEAR(sums[1][i], reached ? 0.5f * target[i] : 0.0f, 1e-4f);
+        const float weight = reached ? 0.5f * Kernel(x - kCentre, y - kCentre) : 0.0f;
+        EXPECT_FLOAT_EQ(weight_sums[i], weight);
+        EXPECT_NEAR(sums[1][i], weight * target[i], 1e-4f);
       }
     }
   }
@@ -118,7 +125,7 @@ TEST_F(WindowFitTest, SquareWeightedSum) {
   // All but two pixels are unknown, one of which is four deviations off.
   std::ranges::fill(known_, 0.0f);
   known_[static_cast<size_t>(kBounds.IndexOf(kCentre, kCentre))] = 1.0f;
-  const auto other = static_cast<size_t>(kBounds.IndexOf(kCentre + 9, kCentre - 9));
+  const auto other = static_cast<size_t>(kBounds.IndexOf(kCentre + 3, kCentre - 3));
   known_[other] = 1.0f;
   for (size_t c = 0; c < 3; ++c) flat_[c][other] = 3.0f;
   SetWeights();

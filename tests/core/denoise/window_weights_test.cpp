@@ -28,6 +28,12 @@ struct Planes {
   Plane known, lent;
 };
 
+// Epanechnikov's kernel of a pixel so far from the centre; it would end half a pixel beyond the
+// window's corners.
+float Kernel(int dx, int dy) {
+  return 1.0f - static_cast<float>(dx * dx + dy * dy) / (2.0f * 9.5f * 9.5f);
+}
+
 // The weights as a picture; 0 where no vector lies.
 Plane Spread(const WindowWeights& weights, int value) {
   Plane out(static_cast<size_t>(kBounds.area()));
@@ -61,26 +67,27 @@ TEST(WindowWeights, ComparesPatchesInUnitsOfTheirNoise) {
   Plane spread = Spread(weights, 0);
   const auto at = [&](int x, int y) { return spread[static_cast<size_t>(kBounds.IndexOf(x, y))]; };
   EXPECT_EQ(at(kCentre, kCentre), 1.0f);
-  EXPECT_EQ(at(14, 12), 1.0f);
-  EXPECT_FLOAT_EQ(at(15, 12), Falloff(9.0f - 1.0f));  // d^2 / (v + v), less what noise explains
+  EXPECT_FLOAT_EQ(at(14, 12), Kernel(2, 0));
+  // d^2 / (v + v), less what noise explains.
+  EXPECT_FLOAT_EQ(at(15, 12), Kernel(3, 0) * Falloff(9.0f - 1.0f));
   EXPECT_EQ(at(5, 5), 0.0f);
   weights.Set(guide, 1, kCentre, kCentre);
   spread = Spread(weights, 0);
   // A third of the patch lies beyond the edge.
-  EXPECT_FLOAT_EQ(at(14, 12), Falloff(9.0f / 3.0f - 1.0f));
+  EXPECT_FLOAT_EQ(at(14, 12), Kernel(2, 0) * Falloff(9.0f / 3.0f - 1.0f));
 }
 
 TEST(WindowWeights, NoisyPixelsLendLess) {
   Planes planes;
-  planes.lent[static_cast<size_t>(kBounds.IndexOf(15, 12))] = 35.0f;
-  planes.lent[static_cast<size_t>(kBounds.IndexOf(16, 12))] = 350.0f;
+  planes.lent[static_cast<size_t>(kBounds.IndexOf(15, 12))] = 9.6f;
+  planes.lent[static_cast<size_t>(kBounds.IndexOf(16, 12))] = 96.0f;
   const Guide guide{kBounds, &planes.known, {&planes.value}, 1, &planes.variance,
                     &planes.lent, kBounds};
   WindowWeights weights(kRadius);
   weights.Set(guide, 1, kCentre, kCentre);
   const Plane spread = Spread(weights, 0);
-  EXPECT_EQ(spread[static_cast<size_t>(kBounds.IndexOf(15, 12))], 1.0f);
-  EXPECT_FLOAT_EQ(spread[static_cast<size_t>(kBounds.IndexOf(16, 12))], 0.1f);
+  EXPECT_FLOAT_EQ(spread[static_cast<size_t>(kBounds.IndexOf(15, 12))], Kernel(3, 0));
+  EXPECT_FLOAT_EQ(spread[static_cast<size_t>(kBounds.IndexOf(16, 12))], 0.1f * Kernel(4, 0));
 }
 
 // Against the definition, pixel by pixel: what ends early must have had no weight.
@@ -124,7 +131,8 @@ TEST(WindowWeights, LeavesOutOnlyWhatHasNoWeight) {
         }
         const auto i = static_cast<size_t>(kBounds.IndexOf(x, y));
         const double mean = distance / (3 * std::max(count, 1.0));
-        EXPECT_NEAR(spread[i], planes.known[i] * Falloff(static_cast<float>(mean)), 1e-5);
+        const float kernel = planes.known[i] * Kernel(x - kCentre, y - (kCentre - 1));
+        EXPECT_NEAR(spread[i], kernel * Falloff(static_cast<float>(mean)), 1e-5);
       }
     }
   }
