@@ -29,6 +29,8 @@ class FullDisk : public testing::Test {
       GTEST_SKIP() << "cannot mount a file system: " << std::strerror(errno);
     }
     is_mounted_ = true;
+    // The log has room, whatever the data have.
+    std::filesystem::create_symlink(directory_.path() + "/server.log", dir_ + "/server.log");
     server_ = std::make_unique<ServerProcess>(dir_);
     client_ = std::make_unique<RpcClient>(server_->Channel());
   }
@@ -97,6 +99,36 @@ TEST_F(FullDisk, JobsSayWhyAndGoOnByThemselvesToTheSameBits) {
   const v1::Job undisturbed =
       client_->Watch(client_->MustCreate(SmallJob(scene, kSpp, 16)).name());
   EXPECT_EQ(HexDigest(undisturbed), HexDigest(done));
+}
+
+// A job that was cancelled is shown as FINISHING, with the reason, as long as the disk has no room
+// for its samples and its end; then as cancelled, also by a server that was killed after that.
+TEST_F(FullDisk, AnEndIsShownOnceThereIsRoomForIt) {
+  const v1::AssetRef scene = client_->UploadScene("cornell");
+  const std::string name = client_->MustCreate(SmallJob(scene, 1 << 20, 16)).name();
+  const auto worker = StartWorkerProcess(server_->address(), directory_.path() + "/worker.log");
+  client_->WatchUntil(name, [](const v1::Job& j) { return j.progress().samples() > 0; });
+  FillDisk();
+  client_->Cancel(name);
+  const v1::Job withheld = client_->WatchUntil(name, [](const v1::Job& j) {
+    return j.state() == v1::JOB_STATE_FINISHING &&
+           j.waiting().find("end cannot be written") != std::string::npos;
+  });
+  EXPECT_EQ(withheld.state(), v1::JOB_STATE_FINISHING) << withheld.ShortDebugString();
+  EXPECT_NE(withheld.waiting().find("free some space"), std::string::npos) << withheld.waiting();
+  EXPECT_EQ(client_->Get(name).state(), v1::JOB_STATE_FINISHING);
+
+  MakeRoom();
+  const v1::Job ended = client_->Watch(name);
+  EXPECT_EQ(ended.state(), v1::JOB_STATE_CANCELLED) << ended.ShortDebugString();
+  EXPECT_GT(ended.progress().samples(), 0);
+  server_->process().Signal(SIGKILL);
+  server_ = std::make_unique<ServerProcess>(dir_);
+  client_ = std::make_unique<RpcClient>(server_->Channel());
+  const v1::Job restored = client_->Get(name);
+  EXPECT_EQ(restored.state(), v1::JOB_STATE_CANCELLED) << restored.ShortDebugString();
+  EXPECT_EQ(restored.progress().samples(), ended.progress().samples());
+  EXPECT_EQ(HexDigest(restored), HexDigest(ended));
 }
 
 }  // namespace
