@@ -96,7 +96,7 @@ TEST(Failure, FirefliesAddNoMoreThanTheyAre) {
 }
 
 // Zero variance at low counts: pixels that have met no light must not stay black among lit ones.
-// Of 81 % black ones 0.6 % of the frame do (docs/denoiser.md, known limits).
+// Of 81 % black ones 0.2 % of the frame do (docs/denoiser.md, known limits).
 TEST(Failure, BlackPixelsAreNotCertain) {
   const SyntheticFrame frame = RareLightFrame(2);
   const FilteredPlanes out = Filtered(frame);
