@@ -14,6 +14,7 @@ its output. Needs python3-matplotlib, python3-numpy, python3-openimageio, python
 """
 
 import argparse
+import json
 import pathlib
 import resource
 import shutil
@@ -61,6 +62,34 @@ def used_cpu_s() -> float:
     return sum(u.ru_utime + u.ru_stime for u in usages)
 
 
+class Spent:
+    """Seconds and CPU seconds that this build's charts have taken, those of runs that were stopped
+    included."""
+
+    def __init__(self, run):
+        self._path, self._version = run.work / "spent.json", run.version
+        before = json.loads(self._path.read_text()) if self._path.is_file() else {}
+        self._before = before.get(run.version, [0, 0])
+        self._start, self._start_cpu_s = time.monotonic(), used_cpu_s()
+
+    def now(self) -> tuple[float, float]:
+        return (self._before[0] + time.monotonic() - self._start,
+                self._before[1] + used_cpu_s() - self._start_cpu_s)
+
+    def keep(self) -> None:
+        self._path.write_text(json.dumps({self._version: self.now()}), encoding="utf-8")
+
+
+def make_parts(run, names: list[str]) -> None:
+    for name, part in PARTS.items():
+        if name in names:
+            print(f"{name} from {time.strftime('%H:%M:%S')} on", flush=True)
+            begin, before_s = time.monotonic(), used_cpu_s()
+            part(run)
+            print(f"{name}: {time.monotonic() - begin:.0f} s, CPU {used_cpu_s() - before_s:.0f} s",
+                  flush=True)
+
+
 def make(args) -> None:
     """Errors: BadInput, RuntimeError, KeyboardInterrupt."""
     work = args.build / ("charts-quick" if args.quick else "charts")
@@ -69,18 +98,15 @@ def make(args) -> None:
     into_docs = args.out.resolve() == ROOT / "docs" / "charts"
     run = Run(args.build, work, args.out, ROOT / "docs" if into_docs else None, args.scenes,
               args.quick, args.oidn, args.oidn_weights)
-    start = time.monotonic()
-    for name, part in PARTS.items():
-        if name in args.only:
-            print(f"{name} from {time.strftime('%H:%M:%S')} on", flush=True)
-            begin, before_s = time.monotonic(), used_cpu_s()
-            part(run)
-            print(f"{name}: {time.monotonic() - begin:.0f} s, CPU {used_cpu_s() - before_s:.0f} s",
-                  flush=True)
-    wall_s, cpu_s = time.monotonic() - start, used_cpu_s()
+    spent = Spent(run)
+    try:
+        make_parts(run, args.only)
+    finally:
+        spent.keep()
+    wall_s, cpu_s = spent.now()
     print(f"together: {wall_s:.0f} s, CPU {cpu_s:.0f} s: at least {cpu_s / 2:.0f} s on two cores")
     for page in ("charts.md", "stability.md"):
-        run.add_part(page, "made", f"Made with {run.version}; this run took {wall_s / 60:.0f} minutes "
+        run.add_part(page, "made", f"Made with {run.version}, in {wall_s / 60:.0f} minutes "
                      f"and {cpu_s / 60:.0f} CPU minutes (parts: {', '.join(args.only)}).")
     run.publish()
 
