@@ -20,8 +20,8 @@ those of raw ones). "+-" is one standard error of the logarithm, from the spread
 that ratio for an oracle that knows the true error of each cell, measured with uniform counts of
 other seeds, and gives samples by Neyman's rule, no cell fewer than the pilot; a cell's error falls
 as the frame's, and a sample costs one ray where it meets the sky and equally many elsewhere. "CPU
-seconds" is as "rays"; "as asked" is the ratio of CPU seconds for the same promise, whatever the true
-error was.
+seconds" is as "rays"; "as asked" are the ratios of rays and of CPU seconds for the same promise,
+whatever the true error was.
 
 What is finished is kept in OUTPUT_FOLDER, references for all builds, the rest for each: after
 Ctrl-C (exit code 4) the same command goes on. Needs python3-numpy, python3-openimageio.
@@ -188,7 +188,7 @@ class Found:
     seconds_error: float
     slope: float
     promise: dict[str, list[float]]  # by sampling: true over promised error
-    asked: float  # log of the ratio of CPU seconds for the same promise
+    asked: list[float]  # logs of the ratios of rays and of CPU seconds for the same promise
     bound: float | None = None
 
 
@@ -223,9 +223,11 @@ def compare(bench: Bench, runs: dict[str, list[dict]]) -> Found:
         slope = fitted if figure == "rays" else slope
     promise = {kind: [math.sqrt(max(run["true"], 0)) / run["target"] for run in runs[kind]]
                for kind in runs}
-    asked = [numpy.mean(numpy.log([run["work_s"] for run in runs[kind]])) for kind in runs]
+    asked = [float(numpy.mean(numpy.log([run[figure] for run in runs["adaptive"]]))
+                   - numpy.mean(numpy.log([run[figure] for run in runs["uniform"]])))
+             for figure in ("rays", "work_s")]
     return Found(logs["rays"], logs["work_s"], errors["rays"], errors["work_s"], slope, promise,
-                 float(asked[1] - asked[0]))
+                 asked)
 
 
 def error_left(weights: numpy.ndarray, errors: numpy.ndarray, costs: numpy.ndarray, count: int,
@@ -286,19 +288,23 @@ def ratio(logs: list[float], error: float) -> str:
     return f"{math.exp(sum(logs) / len(logs)):.2f} +- {100 * error:.0f} %"
 
 
+def as_asked(logs: list[float]) -> str:
+    return ", ".join(f"{math.exp(log):.2f}" for log in logs)
+
+
 def promise(values: list[float]) -> str:
     return f"{math.exp(numpy.mean(numpy.log(values))):.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
 HEADER = """\
-| view | error ~ rays^ | rays | bound | CPU seconds | as asked | true / promised, uniform | adaptive |
+| view | error ~ rays^ | rays | bound | CPU seconds | as asked: rays, CPU | true / promised, uniform | adaptive |
 |---|---|---|---|---|---|---|---|"""
 
 
 def row(name: str, found: Found) -> str:
     least = "" if found.bound is None else f"{found.bound:.2f}"
     return (f"| {name} | {found.slope / 2:.2f} | {ratio(found.rays, found.rays_error)} | {least} "
-            f"| {ratio(found.seconds, found.seconds_error)} | {math.exp(found.asked):.2f} "
+            f"| {ratio(found.seconds, found.seconds_error)} | {as_asked(found.asked)} "
             f"| {promise(found.promise['uniform'])} | {promise(found.promise['adaptive'])} |")
 
 
@@ -321,9 +327,9 @@ def run(args) -> None:
         least = f"{math.exp(numpy.mean([math.log(f.bound) for f in all_found])):.2f}"
     kept = [promise([v for f in all_found for v in f.promise[kind]])
             for kind in ("uniform", "adaptive")]
-    asked = math.exp(sum(f.asked for f in all_found) / len(all_found))
+    asked = as_asked([sum(logs) / len(logs) for logs in zip(*(f.asked for f in all_found))])
     print(f"| **geometric mean** | | **{ratio(means[0], errors[0])}** | {least} "
-          f"| **{ratio(means[1], errors[1])}** | {asked:.2f} | {' | '.join(kept)} |")
+          f"| **{ratio(means[1], errors[1])}** | {asked} | {' | '.join(kept)} |")
     if args.csv:
         with args.csv.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")

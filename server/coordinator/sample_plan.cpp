@@ -11,7 +11,7 @@
 namespace tessera {
 namespace {
 
-constexpr double kGrowthMin = 1.25, kGrowthMax = 2;  // of the rays, in one epoch
+constexpr double kGrowthMin = 1.1, kGrowthMax = 2;  // of the rays, in one epoch
 constexpr int kBisections = 64;
 
 // Two counts between powers of two and the next: 8, 12, 16, 24, ... Few different ones make large
