@@ -44,12 +44,8 @@ STEPS = {
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--build", type=pathlib.Path, required=True)
-    parser.add_argument("--out", type=pathlib.Path, required=True)
-    parser.add_argument("--scenes", type=pathlib.Path)
-    parser.add_argument("--views", help="comma-separated; all without")
+    views.add_arguments(parser, size="64x36")
     parser.add_argument("--steps", default=",".join(STEPS))
-    parser.add_argument("--size", default="64x36")
     parser.add_argument("--spp", type=int, default=16)
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--threads", type=int, default=2)

@@ -45,11 +45,7 @@ TIMING_VIEW, TIMING_SPP = "cornell", 16
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--build", type=pathlib.Path, required=True)
-    parser.add_argument("--scenes", type=pathlib.Path, help="folder with apartment.glb, bunny.glb, ...")
-    parser.add_argument("--out", type=pathlib.Path, required=True)
-    parser.add_argument("--views", help="comma-separated; all without")
-    parser.add_argument("--size", default="160x90")
+    views.add_arguments(parser, size="160x90")
     parser.add_argument("--spp", default="4,16,64,256,1024")
     parser.add_argument("--reference-spp", type=int, default=4096)
     parser.add_argument("--filters", default=",".join(OWN_FILTERS))

@@ -31,11 +31,7 @@ SEED = 7
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--build", type=pathlib.Path, required=True)
-    parser.add_argument("--scenes", type=pathlib.Path, help="folder with apartment.glb, bunny.glb, ...")
-    parser.add_argument("--out", type=pathlib.Path, required=True)
-    parser.add_argument("--views", help="comma-separated; all without")
-    parser.add_argument("--size", default="192x108")
+    views.add_arguments(parser, size="192x108")
     parser.add_argument("--references", type=int, default=512, help="samples of each reference")
     parser.add_argument("--max-depth", type=int, default=8)
     parser.add_argument("--threads", type=int, default=2)

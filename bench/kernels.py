@@ -42,11 +42,7 @@ FEATURES_OFF = "textures, alpha, layers and glass, environment and point lights,
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--build", type=pathlib.Path, required=True)
-    parser.add_argument("--out", type=pathlib.Path, required=True)
-    parser.add_argument("--scenes", type=pathlib.Path)
-    parser.add_argument("--views", help="comma-separated; all without")
-    parser.add_argument("--size", default="96x54")
+    views.add_arguments(parser, size="96x54")
     parser.add_argument("--spp", type=int, default=8)
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--count", action="store_true", help="instructions in place of seconds")

@@ -52,12 +52,8 @@ SAVINGS = {
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--build", type=pathlib.Path, required=True)
-    parser.add_argument("--out", type=pathlib.Path, required=True)
-    parser.add_argument("--scenes", type=pathlib.Path)
-    parser.add_argument("--views", help="comma-separated; all without")
+    views.add_arguments(parser, size="96x54")
     parser.add_argument("--savings", default=",".join(SAVINGS))
-    parser.add_argument("--size", default="96x54")
     parser.add_argument("--spp", type=int, default=128)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--reference-spp", type=int, default=1024)

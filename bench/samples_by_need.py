@@ -55,11 +55,7 @@ REFERENCE_SEEDS = (101, 202)
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--build", type=pathlib.Path, required=True)
-    parser.add_argument("--out", type=pathlib.Path, required=True)
-    parser.add_argument("--scenes", type=pathlib.Path, help="folder with apartment.glb, bunny.glb, ...")
-    parser.add_argument("--views", help="comma-separated; all without")
-    parser.add_argument("--size", default="256x144")
+    views.add_arguments(parser, size="256x144")
     parser.add_argument("--references", type=int, default=1024, help="samples of each reference")
     parser.add_argument("--counts", default="32,128")
     parser.add_argument("--targets", help="comma-separated errors; those of --counts without")

@@ -27,11 +27,7 @@ from peers import views
 
 def parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--build", type=pathlib.Path, required=True)
-    parser.add_argument("--out", type=pathlib.Path, required=True)
-    parser.add_argument("--scenes", type=pathlib.Path)
-    parser.add_argument("--views", help="comma-separated; all without")
-    parser.add_argument("--size", default="160x96")
+    views.add_arguments(parser, size="160x96")
     parser.add_argument("--references", type=int, default=1024, help="samples of each reference")
     parser.add_argument("--targets", default="0.05,0.1")
     parser.add_argument("--seeds", type=int, default=2)

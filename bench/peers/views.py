@@ -1,5 +1,6 @@
 """The views on which renderers are compared: one camera, one light, for every renderer alike."""
 
+import argparse
 import dataclasses
 import json
 import pathlib
@@ -42,6 +43,15 @@ PROBES = (
     View("furnace", "furnace.glb", sky=1, own=True),
     View("furnace_closed", "furnace_closed.glb", own=True),
 )
+
+
+def add_arguments(parser: argparse.ArgumentParser, size: str) -> None:
+    """What every comparison of views is told: --build, --out, --scenes, --views and --size."""
+    parser.add_argument("--build", type=pathlib.Path, required=True)
+    parser.add_argument("--out", type=pathlib.Path, required=True)
+    parser.add_argument("--scenes", type=pathlib.Path, help="folder with apartment.glb, bunny.glb, ...")
+    parser.add_argument("--views", help="comma-separated; all without")
+    parser.add_argument("--size", default=size)
 
 
 def chosen(names: str | None, folder: pathlib.Path | None,
