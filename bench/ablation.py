@@ -17,7 +17,6 @@ moved). Renders alternate. Needs python3-numpy and python3-openimageio.
 
 import argparse
 import math
-import pathlib
 import re
 import sys
 

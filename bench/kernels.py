@@ -18,7 +18,6 @@ what the box does not need (TESSERA_LEAN); and CPU time, by turns. Needs valgrin
 
 import argparse
 import math
-import pathlib
 import re
 import statistics
 import subprocess

@@ -14,7 +14,6 @@ the renders. What is finished is kept in OUTPUT_FOLDER. Needs python3-numpy, pyt
 """
 
 import argparse
-import pathlib
 import sys
 
 sys.dont_write_bytecode = True  # the source folder stays clean
