@@ -402,8 +402,10 @@ void Coordinator::SetState(Job& job, v1::JobState state) {
     order_.erase(place);
   }
   waiting_changed_of_.insert(job.id);
-  // Watchers are told once they may know; a message that says nothing new would put that off.
-  WithholdsEnd(job) ? NextRevision(job) : Touch(job);
+  // Watchers are told once they may know, or why they may not yet; a message that says nothing new
+  // would put that off.
+  const bool is_news = !WithholdsEnd(job) || !job.store_failure.empty();
+  is_news ? Touch(job) : NextRevision(job);
 }
 
 void Coordinator::NextRevision(Job& job) {

@@ -1,6 +1,10 @@
 // C6: what outside data can drive in the coordinator is bounded.
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <utility>
+#include <variant>
+
 #include "absl/strings/match.h"
 #include "server/coordinator/limits.h"
 #include "tests/server/simulated_farm.h"
@@ -175,6 +179,32 @@ TEST(CoordinatorBounds, AFullDiskStopsLeasesAndSaysSoUntilItHasRoom) {
   EXPECT_EQ(farm.Job(job).waiting(), "");
   farm.RunAll();
   EXPECT_EQ(farm.Job(job).digest(), ExpectedDigest(SmallSettings(), 16));
+}
+
+// The film finds no room while the digest of the last samples is still being computed: watchers
+// hear why the end waits as soon as there is one, the failure being the same ever after.
+TEST(CoordinatorBounds, WatchersAreToldWhyAnEndWaitsAlsoIfTheFilmFailedBeforeIt) {
+  CoordinatorConfig config = SmallConfig();
+  config.stores_records = true;
+  SimulatedFarm farm(config);
+  const JobId job = farm.Create(SmallSettings());
+  ASSERT_TRUE(farm.RenderOne(farm.Connect(1)));
+  farm.answer_pictures = false;
+  ASSERT_TRUE(farm.Command(JobCommand::kCancel, job).ok());
+  farm.Post(RecordStoredEvent{.job = job, .failure = "no space left"});
+  EXPECT_EQ(farm.Job(job).waiting(), "") << "it has not ended yet";
+  const auto tells = [&](Event event) {
+    const StepResult result = farm.Post(std::move(event));
+    return std::ranges::any_of(result.effects, [](const Effect& effect) {
+      return std::holds_alternative<JobChangedEffect>(effect);
+    });
+  };
+  EXPECT_TRUE(tells(JobFinishedEvent{job, farm.coordinator.FilmOf(job)->Digest()}));
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_FINISHING);
+  EXPECT_NE(farm.Job(job).waiting().find("no space left"), std::string::npos);
+  EXPECT_FALSE(tells(RecordStoredEvent{.job = job, .failure = "no space left"})) << "known";
+  EXPECT_TRUE(tells(RecordStoredEvent{.job = job, .has_ended = true}));
+  EXPECT_EQ(farm.Job(job).state(), v1::JOB_STATE_CANCELLED);
 }
 
 }  // namespace
