@@ -7,6 +7,7 @@
 #include <map>
 
 #include <CLI/CLI.hpp>
+#include <absl/strings/str_cat.h>
 #include <absl/synchronization/mutex.h>
 #include <fmt/core.h>
 
@@ -35,11 +36,15 @@ int Refuse(const absl::Status& status) {
   return ExitCodeOf(status);
 }
 
+const std::map<std::string, FilterOn> kFilterOn = {
+    {"server", FilterOn::kServer}, {"auto", FilterOn::kAuto}, {"workers", FilterOn::kWorkers}};
+
 struct Arguments {
   ServiceOptions service;
   double lease_ttl_seconds = 2;
   double build_budget_seconds = 600;
   double write_deadline_seconds = 60;
+  std::string filter_on = "auto";
   std::string port_file;
   bool verbose = false;
 };
@@ -53,14 +58,16 @@ void KeepMemoryOfDeltas() {
 
 void AddClientLimits(CLI::App& app, ClientLimitOptions& limits) {
   app.add_option("--client-jobs", limits.jobs,
-                 "That one client (token, or else address) may have at once, 0 = any number")
+                 "Jobs that one client (token, or else address) may have at once; 0 = any number")
       ->capture_default_str();
-  app.add_option("--client-pixels", limits.pixels, "Of all its jobs that have not ended; 0 = any")
+  app.add_option("--client-pixels", limits.pixels,
+                 "Pixels of all its jobs that have not ended; 0 = any number")
       ->capture_default_str();
-  app.add_option("--client-samples", limits.samples, "Of all their pixels; 0 = any number")
+  app.add_option("--client-samples", limits.samples,
+                 "Samples of all its jobs that have not ended; 0 = any number")
       ->capture_default_str();
   app.add_option("--client-asset-bytes", limits.asset_bytes,
-                 "Of the scenes of all its jobs that have not ended, e.g. 8GB; 0 = any")
+                 "Bytes of the scenes of all its jobs that have not ended, e.g. 8GB; 0 = any")
       ->transform(CLI::AsSizeValue(false))
       ->capture_default_str();
   app.add_option("--client-streams", limits.streams,
@@ -82,7 +89,7 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
   app.add_option("--quota", service.data_bytes_max,
                  "Bytes of assets and films, e.g. 64GB; 0 = unlimited")
       ->transform(CLI::AsSizeValue(false))
-      ->capture_default_str();
+      ->default_str(absl::StrCat(service.data_bytes_max >> 30, "GB"));
   app.add_option("--lease-ttl", arguments.lease_ttl_seconds,
                  "Seconds without progress after which a worker's tile is given to another")
       ->check(CLI::Range(0.1, 3600.0))
@@ -102,17 +109,15 @@ void AddOptions(CLI::App& app, Arguments& arguments) {
       ->capture_default_str();
   app.add_flag("--forget-bans", service.forget_bans,
                "Lets hosts work again that were banned by audits of earlier runs");
-  app.add_option("--tile-size", service.tile_size, "Of jobs that name none")->capture_default_str();
-  app.add_option("--filter-threads", service.filter_threads, "That denoise; 0 = all cores")
+  app.add_option("--tile-size", service.tile_size, "Pixels; of jobs that name none")
       ->capture_default_str();
-  app.add_option("--filter-on", service.filter_on,
+  app.add_option("--filter-threads", service.filter_threads, "Threads that denoise; 0 = all cores")
+      ->capture_default_str();
+  app.add_option("--filter-on", arguments.filter_on,
                  "Where pictures are filtered: server; auto = workers help while more is to be "
                  "done than this machine soon clears; workers = as much as they take")
-      ->transform(CLI::CheckedTransformer(std::map<std::string, FilterOn>{
-          {"server", FilterOn::kServer},
-          {"auto", FilterOn::kAuto},
-          {"workers", FilterOn::kWorkers}}))
-      ->default_str("auto");
+      ->check(CLI::IsMember(kFilterOn))
+      ->capture_default_str();
   app.add_option("--port-file", arguments.port_file,
                  "Writes the ports that were chosen: GRPC=N and HTTP=N, a line each");
   app.add_option("--tls-cert", service.tls.cert, "Certificate chain (PEM): speaks TLS");
@@ -158,6 +163,7 @@ int Run(int argc, char** argv) {
   const auto milliseconds = [](double seconds) {
     return std::chrono::milliseconds(static_cast<int64_t>(1e3 * seconds));
   };
+  arguments.service.filter_on = kFilterOn.at(arguments.filter_on);
   arguments.service.lease_ttl = milliseconds(arguments.lease_ttl_seconds);
   arguments.service.build_budget = milliseconds(arguments.build_budget_seconds);
   arguments.service.write_deadline = milliseconds(arguments.write_deadline_seconds);

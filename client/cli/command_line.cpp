@@ -150,6 +150,7 @@ void AddHalvesFlags(CLI::App* command, HalvesFlags* flags) {
 class CommandTable {
  public:
   explicit CommandTable(const CommandLineParts& parts) : parts_(parts) {
+    app_.name("tessera");
     app_.require_subcommand(1);
     app_.set_version_flag("--version", std::string("tessera ") + kVersion);
     app_.set_help_flag("-h,--help", "This text");
