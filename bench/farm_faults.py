@@ -20,9 +20,11 @@ the server took more than 2 s to serve, or work was handed out again after more 
 import argparse
 import contextlib
 import json
+import os
 import pathlib
 import random
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -246,6 +248,15 @@ def ip(*arguments) -> None:
     subprocess.run(["ip", *arguments], check=True)
 
 
+def check_network_tools(parser: argparse.ArgumentParser) -> None:
+    """Before minutes of rendering, not after."""
+    if os.geteuid() != 0:
+        parser.error("network namespaces need root: run it with sudo")
+    missing = [tool for tool in ("ip", "nft", "tc") if shutil.which(tool) is None]
+    if missing:
+        parser.error(f"no {', '.join(missing)} here: apt-get install iproute2 nftables")
+
+
 class Host:
     """A network namespace with a link of its own to the server's."""
 
@@ -360,6 +371,8 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=100, help="that the restarted server keeps")
     parser.add_argument("--loaded", action="store_true", help="times are not judged")
     arguments = parser.parse_args()
+    if arguments.what == "network":
+        check_network_tools(parser)
     programs = arguments.build.resolve() / "bin"
     arguments.scene = arguments.scene or arguments.build / "scenes" / "still_life.glb"
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
