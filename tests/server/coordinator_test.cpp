@@ -294,7 +294,7 @@ TEST(Coordinator, TheSpecOfAnUnknownJobIsSentAgain) {
   const std::deque<v1::Lease> leases = std::exchange(farm.workers[session].leases, {});
   ASSERT_FALSE(leases.empty());
   for (const v1::Lease& lease : leases) {
-    DeclineEvent decline{.session = session};
+    DeclineEvent decline{.session = session, .decline = {}};
     decline.decline.set_lease_id(lease.id());
     decline.decline.set_reason(v1::DeclineLease::REASON_UNKNOWN_JOB);
     farm.Post(std::move(decline));

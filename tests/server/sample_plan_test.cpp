@@ -214,7 +214,9 @@ TEST(SamplePlan, EachCellReachesItsOwnTarget) {
         PlanSamples(kGrid, Cells(variances, samples), {.cell = target}, 1 << 20);
     for (size_t i = 0; i < kCells; ++i) {
       EXPECT_LE(plan[i], 2.5 * static_cast<double>(samples[i]));
-      if (i % kColumns > 2) EXPECT_EQ(plan[i], samples[i]) << i;
+      if (i % kColumns > 2) {
+        EXPECT_EQ(plan[i], samples[i]) << i;
+      }
     }
     samples = plan;
   }

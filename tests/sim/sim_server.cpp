@@ -183,7 +183,7 @@ class SimServer::Run : public EffectSink {
       const std::vector<double> errors = SimTileErrors(film->grid(), samples);
       const double error = SimError(film->grid(), errors);
       std::vector<CellError> cells;
-      for (const double e : errors) cells.push_back({e, e});
+      for (const double of_cell : errors) cells.push_back({of_cell, of_cell});
       (void)Post(PictureEvent{.job = job,
                               .samples = film->samples(),
                               .estimated_error = std::isfinite(error) ? error : 0,
