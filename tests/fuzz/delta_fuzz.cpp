@@ -64,12 +64,13 @@ std::vector<std::string> FuzzSeeds() {
   std::vector<std::string> seeds;
   for (uint8_t byte = 0; byte < kShapes * std::size(kEncodings); ++byte) {
     const Shape shape = ShapeOf(byte);
-    const std::string payload =
+    std::string payload =
         EncodeDelta(SyntheticTile(byte, shape.window, shape.range, shape.feature_end),
                     shape.encoding)
             .payload;
-    seeds.push_back(std::string(1, static_cast<char>(byte)) +
-                    payload.substr(0, payload.size() - sizeof(uint64_t)));
+    payload.resize(payload.size() - sizeof(uint64_t));
+    std::string& seed = seeds.emplace_back(1, static_cast<char>(byte));
+    seed.append(payload);
   }
   return seeds;
 }
